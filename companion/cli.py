@@ -21,11 +21,9 @@ from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable
 from sitl.commands import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 
 PROGRAM: Final = "companion"
-TOOLS: Final = "companion.tools.commands"
+FLIGHTLOG, TOOLS = "companion.flightlog.commands", "companion.tools.commands"
 COMMANDS: Final = {
-    "replay": Command(
-        "companion.flightlog.replay.command:replay_command", "Run the estimators again over a log."
-    ),
+    "replay": Command(f"{FLIGHTLOG}:replay_command", "Run the estimators again over a log."),
     "identify": Command(f"{TOOLS}:identify_command", "Identify the vehicle's response from a flight."),
     "check": Command(
         f"{TOOLS}:check_command", "Check everything before a flight; --pad: sensors and axes, by hand."
@@ -33,7 +31,7 @@ COMMANDS: Final = {
     "detect": Command(f"{TOOLS}:detect_command", "Find the pad in your own photos and videos."),
     "fuzzy": Command(f"{TOOLS}:fuzzy_command", "Show the fuzzy speed controller, its rules and table."),
     "pad": Command(f"{TOOLS}:pad_command", "Check and print a pad; show how a camera sees it."),
-    "logs": Command("companion.flightlog.logs:logs_command", "List, export, convert, repair flight logs."),
+    "logs": Command(f"{FLIGHTLOG}:logs_command", "List, export, convert, repair flight logs."),
     "settings": Command(
         "companion.tools.settings:settings_command", "Explain settings: unit, default, meaning."
     ),
@@ -41,9 +39,7 @@ COMMANDS: Final = {
     "status": Command("companion.app.service.commands:status_command", "Show what the running service does."),
     "order": Command("companion.app.service.commands:order_command", "Order the service to land, fly, stop."),
     "permit": Command("companion.app.service.latch:permit_command", "Let the next start of the app fly."),
-    "report": Command(
-        "companion.flightlog.report.command:report_command", "Write a flight's report as one page."
-    ),
+    "report": Command(f"{FLIGHTLOG}:report_command", "Write a flight's report as one page."),
     "flights": Command(
         "companion.sim.flights:flights_command", "Fly many in one process, for a campaign.", hidden=True
     ),

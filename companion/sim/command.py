@@ -13,7 +13,7 @@ from companion.base.errors import ConfigError
 from companion.base.files import must_be_writable, write_atomically
 from companion.base.messages import Outcome
 from companion.base.signals import signals_held_back
-from companion.flightlog.report.command import write_report
+from companion.flightlog.report import write_report
 from companion.flightlog.report.tables import result_table
 from companion.flightlog.result import Result
 from companion.sense.vision.opencv import prepare_opencv

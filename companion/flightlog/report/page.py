@@ -20,7 +20,6 @@ from companion.flightlog.report.logged_flight import LoggedFlight, SensorRecord
 from companion.flightlog.report.tables import flight_texts, result_rows
 from companion.flightlog.result import latency, phase_times
 
-PAGE_NAME: Final = "report.html"
 TEMPLATE: Final = Path(__file__).with_name("page.html")
 PLOT_OPTIONS: Final = {"responsive": True, "displaylogo": False, "scrollZoom": False}
 VERDICT_COLOURS: Final = {
