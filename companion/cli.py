@@ -145,11 +145,7 @@ def companion(
 
 
 def alone(context: typer.Context) -> None:
-    """Refuse options of a flight before the name of another command.
-
-    Raises:
-        ConfigError: there is one.
-    """
+    """Refuse options of a flight before the name of another command."""
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if source is not None and source.name == "COMMANDLINE":
@@ -158,11 +154,7 @@ def alone(context: typer.Context) -> None:
 
 
 def refuse(options: Mapping[str, object]) -> None:
-    """Refuse options that need the simulator.
-
-    Raises:
-        ConfigError: one of them was given.
-    """
+    """Refuse options that need the simulator."""
     for name, value in options.items():
         if value is not None:
             raise ConfigError(f"{name}: needs --sitl; the vehicle flies in real time, with no truth to score")

@@ -223,9 +223,6 @@ class App:
         """Make the stages; with a reason for `standby` it watches, and follows no order.
 
         Else it flies at once, unless it `stays`: then it stands by, before its first order and after each.
-
-        Raises:
-            ConfigError: a settings file named in the configuration is missing or wrong.
         """
         self._config, self._hardware, self._log, self._on_status = config, hardware, log, on_status
         self._clock = Clock()

@@ -217,11 +217,7 @@ class Stages:
     def __init__(
         self, config: CompanionConfig, hardware: Hardware, log: FlightLog, clock: Clock, notify: Notify
     ) -> None:
-        """Make the stages and write the settings that they use into the log.
-
-        Raises:
-            ConfigError: a settings file named in the configuration is missing or wrong.
-        """
+        """Make the stages and write the settings that they use into the log."""
         mount = load_mount(config.mount, config.camera)
         vehicle = self.vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
         camera = load_model(CameraConfig, find_file("cameras", config.camera))

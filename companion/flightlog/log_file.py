@@ -90,11 +90,7 @@ class LogReader:
         self.cut = False
 
     def messages(self) -> Iterator[tuple[str, Message]]:
-        """Topics and messages.
-
-        Raises:
-            ConfigError: the file cannot be read.
-        """
+        """Topics and messages."""
         schemas, topics = dict[int, Schema](), dict[int, str]()
         try:
             with self.path.open("rb") as stream:
@@ -112,11 +108,7 @@ class LogReader:
             raise cannot_read(self.path, error, expected=EXPECTED) from error
 
     def decoded(self, kind: type[T], topic: str, message: Message) -> T:
-        """A message of a topic as ours.
-
-        Raises:
-            ConfigError: it is none.
-        """
+        """A message of a topic as ours."""
         from companion.base.message_json import decode  # noqa: PLC0415 - NumPy; a wrong name is reported first
 
         try:

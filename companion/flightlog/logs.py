@@ -25,11 +25,7 @@ MEGABYTE: Final = 1_000_000
 
 
 def find_flight(root: Path, flight: str) -> Path:
-    """The path that is meant by a number or a name in the list, or by a path.
-
-    Raises:
-        ConfigError: there is no such number.
-    """
+    """The path that is meant by a number or a name in the list, or by a path."""
     path, named = Path(flight), root / flight
     if path.exists():
         return path
@@ -44,11 +40,7 @@ def find_flight(root: Path, flight: str) -> Path:
 
 
 def list_flights(root: Path) -> None:
-    """Print one line a flight, oldest first.
-
-    Raises:
-        ConfigError: the folder cannot be read.
-    """
+    """Print one line a flight, oldest first."""
     try:
         flights = recorded_flights(root)
     except OSError as error:
@@ -80,11 +72,7 @@ def list_flights(root: Path) -> None:
 
 
 def export(folder: Path, output: Path | None) -> None:
-    """Put a flight's folder into one zip file.
-
-    Raises:
-        ConfigError: it holds no log, or the file exists or cannot be written.
-    """
+    """Put a flight's folder into one zip file."""
     must_be_readable(folder / LOG_NAMES[0])
     target = _new(output or Path(f"{folder.resolve().name}.zip"))
     try:
@@ -101,11 +89,7 @@ def export(folder: Path, output: Path | None) -> None:
 
 
 def convert_log(log: Path, output: Path | None, form: TableFormat) -> None:
-    """Write a log's topics as tables.
-
-    Raises:
-        ConfigError: the log cannot be read, or the tables cannot be written.
-    """
+    """Write a log's topics as tables."""
     source = find_log(log)
     folder = output or source.with_name("tables")
     written = convert(source, folder, form)
@@ -113,11 +97,7 @@ def convert_log(log: Path, output: Path | None, form: TableFormat) -> None:
 
 
 def repair(log: Path, output: Path | None) -> None:
-    """Write what can be read of a log into a new one, with an index; the log is left as it is.
-
-    Raises:
-        ConfigError: nothing can be read of it, or the new file exists or cannot be written.
-    """
+    """Write what can be read of a log into a new one, with an index; the log is left as it is."""
     source = find_log(log)
     target = _new(output or source.with_name(REPAIRED_NAME))
     try:

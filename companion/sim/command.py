@@ -39,11 +39,7 @@ def load_trial(
     *,
     fast: bool,
 ) -> Trial:
-    """What the options ask for.
-
-    Raises:
-        ConfigError: they do not go together, or the scenario is wrong.
-    """
+    """What the options ask for."""
     kind, program, parameters = firmware
     return Trial.load(
         scenario, seed, External.of(external, fast=fast), FirmwareSpec.of(kind, program, parameters or ())
@@ -51,11 +47,7 @@ def load_trial(
 
 
 def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) -> int:
-    """Fly a scenario, show and write its result, and return the exit code.
-
-    Raises:
-        ConfigError: something the user can correct.
-    """
+    """Fly a scenario, show and write its result, and return the exit code."""
     prepare_opencv()
     settings = output.shown(sitl_settings(config_path, trial, fast=fast))
     must_fly(settings, f"--sitl: {config_path}")

@@ -40,11 +40,7 @@ BOX_SHARE: Final = 0.86
 
 
 def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
-    """Draw all into a PNG.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Draw all into a PNG."""
     sets = _sets(rules, table)
     figure = Figure(figsize=(15.0, 8.5 * len(sets)), dpi=110, layout="constrained")
     halves: Any = figure.subfigures(2 * len(sets), 1, height_ratios=(1.0, 1.7) * len(sets))
@@ -127,11 +123,7 @@ UNITS: Final = {"m": "m", "m_s": "m/s", "m_s2": "m/s²", "rad": "rad"}
 
 
 def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite: bool) -> bool:
-    """Show, check and draw; whether the table holds and the rules are a pilot's.
-
-    Raises:
-        ConfigError: the rules cannot be read or break a rule, or a file cannot be written.
-    """
+    """Show, check and draw; whether the table holds and the rules are a pilot's."""
     console = Console()
     read = load_rules(rules)
     written = write_table(rules) if rewrite else None

@@ -53,11 +53,7 @@ def settings_command(
 
 
 def chosen(settings: list[Setting], word: str | None, *, everything: bool) -> Iterable[Setting]:
-    """The settings to show; a word finds those for experts too.
-
-    Raises:
-        ConfigError: none has this word in its key.
-    """
+    """The settings to show; a word finds those for experts too."""
     if word is None:
         return [setting for setting in settings if everything or setting.for_operators]
     key = word.strip(".").lower()

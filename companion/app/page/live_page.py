@@ -44,11 +44,7 @@ class LivePage:
     """Make it before the app, so that the log's tap hears the settings; `served` runs it beside the app."""
 
     def __init__(self, config: CompanionConfig, log: FlightLog) -> None:
-        """Without `serve.address` it does nothing.
-
-        Raises:
-            ConfigError: a token is missing or wrong.
-        """
+        """Without `serve.address` it does nothing."""
         self._config, self._log, self._clock = config.serve, log, Clock()
         self._access = read_access(config.serve)
         self._start_s = self._clock.now_s()

@@ -58,11 +58,7 @@ def status_command(
     as_json: Annotated[bool, typer.Option("--json", help="As one line of JSON.")] = False,
     path: SocketOption = None,
 ) -> None:
-    """`companion status`.
-
-    Raises:
-        ConfigError: no service answers.
-    """
+    """`companion status`."""
     console = Console()
     if watch:
         _watch(path, console, as_json=as_json)
@@ -101,11 +97,7 @@ def order_command(
     wait: Annotated[bool, typer.Option("--wait", help="Until it is carried out, or failed.")] = False,
     path: SocketOption = None,
 ) -> None:
-    """`companion order`.
-
-    Raises:
-        ConfigError: no service answers.
-    """
+    """`companion order`."""
     with _connected(path) as ask:
         answer = ask({"request": "order", "kind": kind.value})
         _say(kind, answer)
@@ -129,11 +121,7 @@ class _Asking:
         self._lines = connection.makefile("rb")
 
     def __call__(self, request: dict[str, Any] | None) -> dict[str, Any]:
-        """The answer.
-
-        Raises:
-            ConfigError: the service has gone, does not answer, or it is not the service.
-        """
+        """The answer."""
         try:
             # how an order ends takes as long as the landing
             self._connection.settimeout(None if request is None else ANSWER_S)
@@ -183,11 +171,7 @@ def _no_answer(where: Path, error: OSError, *, chosen: bool) -> str:
 
 
 def _table(report: dict[str, Any]) -> Table:
-    """The report as text.
-
-    Raises:
-        ConfigError: it is another version's.
-    """
+    """The report as text."""
     try:
         rows = list(_rows(report))
     except (KeyError, TypeError) as error:

@@ -52,11 +52,7 @@ def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None
 
 
 def read_log(path: Path) -> FlightRecord:
-    """Read a log of ours, of ArduPilot's or of PX4's.
-
-    Raises:
-        ConfigError: it is not there, is no such log, or holds nothing to replay.
-    """
+    """Read a log of ours, of ArduPilot's or of PX4's."""
     path = log_file(path)
     try:
         with path.open("rb") as stream:

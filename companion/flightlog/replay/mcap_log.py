@@ -52,11 +52,7 @@ Settings = TypeVar("Settings", bound=BaseModel)
 
 
 def read_mcap(path: Path) -> FlightRecord:
-    """Read a flight of ours.
-
-    Raises:
-        ConfigError: the file cannot be read, or a message in it is not one of ours.
-    """
+    """Read a flight of ours."""
     reading = _Reading(reader := LogReader(path))
     for topic, message in reader.messages():
         reading.take(topic, message)

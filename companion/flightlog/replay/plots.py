@@ -117,11 +117,7 @@ class _Drawing:
 
 
 def write_page(path: Path, result: ReplayResult, record: FlightRecord, replayed: Replayed) -> None:
-    """Write the table, what else there is to say, and the plots as one page.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Write the table, what else there is to say, and the plots as one page."""
     comparisons = {source: Comparison(replayed, ref) for source, ref in record.references.items()}
     drawing = _Drawing(replayed, comparisons, tracks_of(replayed), record.events[0].item.time_s)
     lines = [line.partition(": ")[::2] for line in replay_lines(result)]

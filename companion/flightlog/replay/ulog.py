@@ -44,11 +44,7 @@ Columns = Mapping[str, Any]
 
 
 def read_ulog(path: Path) -> FlightRecord:
-    """Read a PX4 log.
-
-    Raises:
-        ConfigError: the file is no ULog.
-    """
+    """Read a PX4 log."""
     with contextlib.redirect_stdout(io.StringIO()):
         try:
             log = ULog(str(path))

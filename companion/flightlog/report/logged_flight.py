@@ -100,11 +100,7 @@ class LoggedFlight:
 
 
 def read_flight(path: Path) -> LoggedFlight:
-    """Read a flight's folder, or its flight.mcap; a log cut short as far as it goes.
-
-    Raises:
-        ConfigError: there is none, it cannot be read, or a message is not one of ours.
-    """
+    """Read a flight's folder, or its flight.mcap; a log cut short as far as it goes."""
     reading = _Reading(reader := LogReader(path))
     for topic, message in reader.messages():
         reading.take(topic, message)

@@ -52,11 +52,7 @@ SENSOR_NAMES: Final = {
 
 
 def write_page(flight: LoggedFlight, path: Path, bounds: Mapping[str, float] | None = None) -> None:
-    """Write the page; `bounds`: what passes, by the touchdown's keys.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Write the page; `bounds`: what passes, by the touchdown's keys."""
     write_atomically(path, page(flight, bounds or {}))
 
 

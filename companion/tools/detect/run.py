@@ -238,11 +238,7 @@ class Tally:
 
 
 def find_with(config: Path, pad: str | None, camera: str | None) -> PadFinder:
-    """Vision for this pad and camera; what is None is as in the settings.
-
-    Raises:
-        ConfigError: a file cannot be read, or is wrong.
-    """
+    """Vision for this pad and camera; what is None is as in the settings."""
     prepare_opencv()
     settings = load_config(config)
     calibrated = load_model(CameraConfig, find_file("cameras", camera or settings.camera))
@@ -258,9 +254,6 @@ def detect_all(
     """Look at all pictures, print what they show, write the overlays; whether any shows the pad.
 
     `send` is given what each picture with the pad shows.
-
-    Raises:
-        ConfigError: no picture can be read, none is of the calibrated size, or an overlay cannot be written.
     """
     console, tally = Console(), Tally()
     overlays = None if out is None else Overlays(out)
@@ -335,11 +328,7 @@ class Overlays:
         self._written: list[Path] = []
 
     def write(self, photo: Photo, picture: NDArray[np.uint8]) -> None:
-        """Write one picture (height, width, 3).
-
-        Raises:
-            ConfigError: it cannot be written.
-        """
+        """Write one picture (height, width, 3)."""
         if photo.frame is None:
             path = self._free(photo.path, ".png")
             write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())

@@ -24,11 +24,7 @@ GAINS: Final = {"sideways": "autopilot_velocity_gain_1_s", "down": "autopilot_cl
 
 
 def identify_and_show(log: Path, check: Path | None) -> bool:
-    """Identify a flight and print what it shows; whether nothing was withheld.
-
-    Raises:
-        ConfigError: something the user can correct; also when the flight shows nothing at all.
-    """
+    """Identify a flight and print what it shows; whether nothing was withheld."""
     record = read_flight(log)
     other = None
     if check is not None:

@@ -120,9 +120,6 @@ class PadCheck:
 
         `say` and `page` are where the check shows itself. `linked`: an autopilot is there and has to be
         disarmed. `samples`: where they are kept.
-
-        Raises:
-            ConfigError: a settings file named in the configuration is missing or wrong.
         """
         self._config, self._say, self._page, self._linked = config, say, page, linked
         self._clock = Clock()
@@ -152,11 +149,7 @@ class PadCheck:
         self._heard_s = self._clock.now_s()
 
     async def run(self) -> Report:
-        """Check; ends by itself, after at most a minute a step.
-
-        Raises:
-            ConfigError: the autopilot is armed or silent, or a sensor's settings are wrong.
-        """
+        """Check; ends by itself, after at most a minute a step."""
         works = {**self._sensing.tasks(), "camera's figures": self._camera_task}
         if self._page is not None:
             works["picture"] = partial(self._picture_task, self._page)

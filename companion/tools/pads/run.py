@@ -83,11 +83,7 @@ def _span(heights_m: FloatArray, recall: FloatArray) -> str:
 
 
 def draw_coverage(coverage: PredictedRecall, pad: Pad, camera: CameraConfig, path: Path) -> None:
-    """Recall over the height, a line for each group and the pad.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Recall over the height, a line for each group and the pad."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - slow
 
     figure = Figure(figsize=(9.0, 4.6), dpi=120, layout="constrained")
@@ -124,11 +120,7 @@ def run_pad(
     spread: Mapping[str, float],
     single: Mapping[str, object] | None,
 ) -> None:
-    """Check, print or judge; `single` is the marker of a pad that has but one, None: `pad` is a file.
-
-    Raises:
-        ConfigError: the pad breaks a rule, or a file cannot be written.
-    """
+    """Check, print or judge; `single` is the marker of a pad that has but one, None: `pad` is a file."""
     prepare_opencv()
     console = Console()
     made = load_pad(pad) if single is None else single_pad(single)
@@ -148,11 +140,7 @@ def run_pad(
 
 
 def single_pad(marker: Mapping[str, object]) -> Pad:
-    """One marker in the middle of a board that is as large as its white needs.
-
-    Raises:
-        ConfigError: no such marker, or it cannot be printed.
-    """
+    """One marker in the middle of a board that is as large as its white needs."""
     given = {"dictionary": "apriltag_36h11", "id": 0, "side_m": 0.4, "position_pad_m": (0.0, 0.0), **marker}
     one = validate(Marker, given, "single")
     board_m = math.ceil(1e3 * (one.side_m + 2.0 * one.quiet_m) - 1e-6) / 1e3
@@ -162,11 +150,7 @@ def single_pad(marker: Mapping[str, object]) -> Pad:
 
 
 def on_paper(pad: Pad, paper: Literal[PaperName, "large"], source: str) -> Pad:
-    """The pad on another sheet.
-
-    Raises:
-        ConfigError: it cannot be printed on it.
-    """
+    """The pad on another sheet."""
     kept = pad.sheet.model_dump(exclude={"size_m"})
     sheet = validate(Sheet, {**kept, "paper": paper}, f"{source}: sheet")
     return checked(pad.model_copy(update={"sheet": sheet}), f"{source} on {paper}")

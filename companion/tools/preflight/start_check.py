@@ -25,11 +25,7 @@ from companion.pad import load_pad
 
 
 def check_start(path: Path) -> None:
-    """Read the settings, and the files, keys and tokens that they name.
-
-    Raises:
-        ConfigError: one of them cannot be read, or is not as it should be.
-    """
+    """Read the settings, and the files, keys and tokens that they name."""
     config = load_config(path)
     load_model(CameraConfig, find_file("cameras", config.camera))
     load_vehicle(config.vehicle, config.mount, config.camera)

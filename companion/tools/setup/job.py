@@ -21,11 +21,7 @@ class Answers(Enum):
 
 
 def go_through(machine: Machine, config: CompanionConfig, answers: Answers) -> bool:
-    """The whole list; whether no change failed.
-
-    Raises:
-        ConfigError: there is nobody to ask.
-    """
+    """The whole list; whether no change failed."""
     if answers is Answers.ASKED and not sys.stdin.isatty():
         raise ConfigError("setup: no terminal to ask at; expected --plan, --yes, or a terminal")
     well, reboot, changed, left = True, False, 0, 0
