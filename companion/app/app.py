@@ -160,7 +160,6 @@ class ActionQueue:
 
     @property
     def busy(self) -> bool:
-        """Whether an action is waiting or under way."""
         return self._under_way is not None or bool(self._waiting)
 
     def add(self, action: Action) -> None:
@@ -178,7 +177,6 @@ class ActionQueue:
         self._arrived.set()
 
     def clear(self) -> None:
-        """Drop what waits and cancel what is under way."""
         self._waiting.clear()
         self._actions.cancel()
 

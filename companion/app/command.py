@@ -102,7 +102,6 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
 
 
 def must_fly(config: CompanionConfig, where: str) -> None:
-    """Refuse a flight by settings that fly nothing."""
     if config.control.output == "landing_target":
         raise ConfigError(f"{where}: control.output landing_target flies nothing; expected setpoints")
 
@@ -190,7 +189,6 @@ async def _tell_ground(
 
 
 def _make_room(record: Path | None, config: CompanionConfig) -> None:
-    """Room for the next flight, by the settings."""
     if record is not None and record.is_dir():
         make_room(record, int(1e6 * config.record.total_mb), int(1e6 * config.record.free_mb))
 

@@ -92,9 +92,7 @@ Notify = Callable[[str, str, Severity], None]
 class FrameProcessor(Protocol):
     """What processes frames: `companion.sense.vision.pipeline.Vision`, or a wrapper of it."""
 
-    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
-        """Process one frame."""
-        ...
+    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult: ...
 
 
 class Estimates(Protocol):

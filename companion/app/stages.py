@@ -66,7 +66,6 @@ class SourceWatch:
         self._announced: set[Quantity] = set()
 
     def begin(self) -> None:
-        """A new mission."""
         self._announced.clear()
         self._estimator.begin_checks()
 

@@ -90,7 +90,6 @@ class LogReader:
         self.cut = False
 
     def messages(self) -> Iterator[tuple[str, Message]]:
-        """Topics and messages."""
         schemas, topics = dict[int, Schema](), dict[int, str]()
         try:
             with self.path.open("rb") as stream:

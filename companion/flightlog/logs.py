@@ -40,7 +40,6 @@ def find_flight(root: Path, flight: str) -> Path:
 
 
 def list_flights(root: Path) -> None:
-    """Print one line a flight, oldest first."""
     try:
         flights = recorded_flights(root)
     except OSError as error:
@@ -89,7 +88,6 @@ def export(folder: Path, output: Path | None) -> None:
 
 
 def convert_log(log: Path, output: Path | None, form: TableFormat) -> None:
-    """Write a log's topics as tables."""
     source = find_log(log)
     folder = output or source.with_name("tables")
     written = convert(source, folder, form)

@@ -39,7 +39,6 @@ def load_trial(
     *,
     fast: bool,
 ) -> Trial:
-    """What the options ask for."""
     kind, program, parameters = firmware
     return Trial.load(
         scenario, seed, External.of(external, fast=fast), FirmwareSpec.of(kind, program, parameters or ())

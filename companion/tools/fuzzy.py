@@ -40,7 +40,6 @@ BOX_SHARE: Final = 0.86
 
 
 def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
-    """Draw all into a PNG."""
     sets = _sets(rules, table)
     figure = Figure(figsize=(15.0, 8.5 * len(sets)), dpi=110, layout="constrained")
     halves: Any = figure.subfigures(2 * len(sets), 1, height_ratios=(1.0, 1.7) * len(sets))

@@ -68,7 +68,6 @@ def chosen(settings: list[Setting], word: str | None, *, everything: bool) -> It
 
 
 def paragraph(setting: Setting, of: SettingsFile, width: int) -> list[str]:
-    """The lines of one setting."""
     facts = [setting.unit, f"default {setting.default}", setting.bounds]
     audience = "" if of != "app" else "operator" if setting.for_operators else "expert"
     head = f"{setting.key}  ({', '.join(part for part in (*facts, audience) if part)})"

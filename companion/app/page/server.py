@@ -30,8 +30,6 @@ MEGABYTE: Final = 1e6
 
 
 def add_file_routes(app: web.Application, start: Start) -> None:
-    """`/flights`, `/flights/NAME` and `/settings`."""
-
     async def flights(request: web.Request) -> web.Response:
         _let_in(request, start)
         return web.json_response(await asyncio.to_thread(listed, start.flights))
@@ -132,7 +130,6 @@ class Viewer:
         self._changed.set()
 
     def reply(self, text: str) -> None:
-        """An answer to this viewer's order."""
         self._replies.append(text)
         self._changed.set()
 
@@ -244,12 +241,10 @@ class PageServer:
     # ------------------------------------------------------------ what the app's process sends
 
     def picture(self, number: int, data: bytes) -> None:
-        """For everybody."""
         for viewer in self._viewers:
             viewer.offer_picture(number, data)
 
     def text(self, text: Text) -> None:
-        """For everybody."""
         for viewer in self._viewers:
             viewer.offer(text.kind, text.json)
 

@@ -58,7 +58,6 @@ def status_command(
     as_json: Annotated[bool, typer.Option("--json", help="As one line of JSON.")] = False,
     path: SocketOption = None,
 ) -> None:
-    """`companion status`."""
     console = Console()
     if watch:
         _watch(path, console, as_json=as_json)
@@ -97,7 +96,6 @@ def order_command(
     wait: Annotated[bool, typer.Option("--wait", help="Until it is carried out, or failed.")] = False,
     path: SocketOption = None,
 ) -> None:
-    """`companion order`."""
     with _connected(path) as ask:
         answer = ask({"request": "order", "kind": kind.value})
         _say(kind, answer)
@@ -121,7 +119,6 @@ class _Asking:
         self._lines = connection.makefile("rb")
 
     def __call__(self, request: dict[str, Any] | None) -> dict[str, Any]:
-        """The answer."""
         try:
             # how an order ends takes as long as the landing
             self._connection.settimeout(None if request is None else ANSWER_S)
@@ -171,7 +168,6 @@ def _no_answer(where: Path, error: OSError, *, chosen: bool) -> str:
 
 
 def _table(report: dict[str, Any]) -> Table:
-    """The report as text."""
     try:
         rows = list(_rows(report))
     except (KeyError, TypeError) as error:

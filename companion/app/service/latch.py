@@ -187,7 +187,6 @@ def permit_command(
         typer.Option("--record", help="The folder that the app records to, if it does.", metavar="DIR"),
     ] = None,
 ) -> None:
-    """Write the permission, and say what stood there."""
     latch = FlightLatch(record or state_folder())
     state, words = latch.read()
     latch.permit()

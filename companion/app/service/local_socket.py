@@ -119,7 +119,6 @@ async def _serve(
     give: Give,
     clock: Clock,
 ) -> None:
-    """Answer one client's requests until it goes."""
     while line := await reader.readline():
         try:
             request = json.loads(line)

@@ -53,7 +53,6 @@ RANGE_GOOD: Final = 4
 
 
 def read_dataflash(path: Path) -> FlightRecord:
-    """Read an ArduPilot log."""
     words = io.StringIO()
     with contextlib.redirect_stderr(words):
         try:

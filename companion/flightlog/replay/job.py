@@ -35,7 +35,6 @@ EXPECTED: Final = "a flight's folder, a flight.mcap, an ArduPilot .bin or a PX4 
 
 
 def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None:
-    """Read, replay, compare and show."""
     console = Console()
     record = read_log(log)
     choice = choose(record, config)

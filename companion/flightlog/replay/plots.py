@@ -134,7 +134,6 @@ def write_page(path: Path, result: ReplayResult, record: FlightRecord, replayed:
 
 
 def figures(drawing: _Drawing) -> dict[str, tuple[str, go.Figure]]:
-    """Titles and plots by the name of their place on the page."""
     shape = any(comparison.position_is_shape for comparison in drawing.comparisons.values())
     aside = "; the error is without its mean" if shape else ""
     found = {
@@ -200,7 +199,6 @@ def _biases(drawing: _Drawing) -> go.Figure:
 
 
 def _refused(drawing: _Drawing) -> go.Figure:
-    """How many measurements have been refused so far, by kind."""
     figure = _rows(1)
     times = drawing.seconds(np.array([time_s for time_s, _ in drawing.replayed.refused]))
     counts = [refused for _, refused in drawing.replayed.refused]

@@ -62,7 +62,6 @@ class PadView:
 
     @property
     def distance_m(self) -> float:
-        """From the camera to the pad's centre."""
         return float(np.linalg.norm(self.position_m))
 
     @property
@@ -289,7 +288,6 @@ def detect_all(
 
 
 def line(found: Found) -> str:
-    """What a picture shows, in one line."""
     if found.view is None:
         if not found.markers:
             return "no marker of the pad"
@@ -328,7 +326,6 @@ class Overlays:
         self._written: list[Path] = []
 
     def write(self, photo: Photo, picture: NDArray[np.uint8]) -> None:
-        """Write one picture (height, width, 3)."""
         if photo.frame is None:
             path = self._free(photo.path, ".png")
             write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())

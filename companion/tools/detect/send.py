@@ -45,7 +45,6 @@ class TargetLink:
             self._loop.close()
 
     def send(self, sighting: PadSighting, pad: Pad) -> None:
-        """Send one, stamped now."""
         self._do(self._send(sighting, pad))
 
     def _do(self, work: Coroutine[Any, Any, None]) -> None:

@@ -60,7 +60,6 @@ class IdentificationLog:
         return self.control.setpoint == "attitude"
 
     def starting_points(self) -> dict[str, IdentifiedResponse]:
-        """The responses that the settings assume."""
         by_velocity = self.control.setpoint == "velocity"
         gains = velocity_gains(self.vehicle, self.control, self.autopilot_kind, sideways=by_velocity)
         tau = lags(self.vehicle, self.control, self.autopilot_kind)
@@ -168,7 +167,6 @@ class Judged:
 
     @property
     def offered(self) -> IdentifiedResponse:
-        """What there is reason to fly with."""
         return self.assumed if self.withheld else self.adopted
 
 
@@ -198,7 +196,6 @@ class JudgedHover:
 
     @property
     def offered(self) -> float:
-        """What there is reason to fly with."""
         return self.assumed if self.withheld else self.adopted
 
 

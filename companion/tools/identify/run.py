@@ -94,7 +94,6 @@ def _ms(time_s: float) -> str:
 
 
 def notes(found: Identified) -> list[str]:
-    """Why something was not found."""
     missing = {**found.responses, "hover thrust": found.hover}
     lines = [f"{name}: {why}" for name, why in missing.items() if isinstance(why, str)]
     for name, judged in found.responses.items():
@@ -145,7 +144,6 @@ def settings_lines(record: IdentificationLog, found: Identified) -> list[str]:
 
 
 def _numbers(record: IdentificationLog, found: Identified) -> tuple[dict[str, float], dict[str, float]]:
-    """Settings of the vehicle and of control by their names."""
     vehicle, control = dict[str, float](), dict[str, float]()
     by_velocity = record.control.setpoint == "velocity"
     if not isinstance(found.hover, str) and found.hover.offered != found.hover.assumed:

@@ -254,7 +254,6 @@ class PadCheck:
 
 
 def _mounting(config: CompanionConfig, vehicle: VehicleConfig) -> Mounting:
-    """How the settings say that things sit."""
     boards = config.sense.source == "boards"
     return Mounting(
         vehicle=config.vehicle,

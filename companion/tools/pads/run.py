@@ -150,7 +150,6 @@ def single_pad(marker: Mapping[str, object]) -> Pad:
 
 
 def on_paper(pad: Pad, paper: Literal[PaperName, "large"], source: str) -> Pad:
-    """The pad on another sheet."""
     kept = pad.sheet.model_dump(exclude={"size_m"})
     sheet = validate(Sheet, {**kept, "paper": paper}, f"{source}: sheet")
     return checked(pad.model_copy(update={"sheet": sheet}), f"{source} on {paper}")

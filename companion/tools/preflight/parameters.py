@@ -83,7 +83,6 @@ class Wanted:
         autopilot_kind: AutopilotKind,
         system_id: int = 1,
     ) -> Wanted:
-        """From the settings, for that autopilot."""
         setpoint = resolved(config.control, autopilot_kind).setpoint
         limits = config.control.limits
         return cls(
@@ -441,7 +440,6 @@ def with_change(finding: Finding, read: ParameterReadings, wanted: Wanted) -> Fi
 
 
 def parameters_read(findings: Sequence[Finding]) -> bool:
-    """Whether the autopilot reported any parameter."""
     return any(item.group == GROUP and item.state is not FindingState.NOT_CHECKED for item in findings)
 
 

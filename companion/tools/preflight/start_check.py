@@ -38,7 +38,6 @@ def check_start(path: Path) -> None:
 
 
 def main(words: list[str]) -> int:
-    """The exit code."""
     if len(words) != 1:
         print("start_check: expected one FILE, the settings", file=sys.stderr)
         return 2

@@ -108,7 +108,6 @@ class Machine:
 
     @property
     def no_model(self) -> str:
-        """Why there is no model."""
         words = (self.read("/proc/device-tree/model") or "").strip()
         return f"not known here: {words}" if "Raspberry Pi" in words else "not a Raspberry Pi"
 
