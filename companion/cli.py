@@ -134,7 +134,7 @@ def companion(
     must_be_readable(config)
     from companion.app.command import Output, fly_the_vehicle, stand_by  # noqa: PLC0415 - see above
 
-    output = Output.of(record, json_file, live=not no_ui, serve=serve)
+    output = Output(record, json_file, live=not no_ui, serve=serve)
     if not sitl:
         raise typer.Exit((fly_the_vehicle if flies else stand_by)(config, output))
     from companion.sim.command import fly_in_sitl, load_trial  # noqa: PLC0415 - see above

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -48,18 +48,11 @@ EXIT_CODES: Final = {
 class Output:
     """Where a flight shows itself and leaves its files."""
 
-    console: Console
     record: Path | None
     json_file: Path | None
     live: bool
     serve: str | None = None  # the live page's address, over that of the settings
-
-    @classmethod
-    def of(
-        cls, record: Path | None, json_file: Path | None, *, live: bool, serve: str | None = None
-    ) -> Output:
-        """On standard output, with the files and the address that the options name."""
-        return cls(Console(), record, json_file, live, serve)
+    console: Console = field(default_factory=Console)
 
     def shown(self, config: CompanionConfig) -> CompanionConfig:
         """The settings with the live page where the options want it."""

@@ -90,14 +90,9 @@ class LivePage:
         assert isinstance(camera, CameraConfig)
         assert isinstance(vehicle, VehicleConfig)
         assert isinstance(pad, Pad)
-        config = self._config
         return Start(
-            host=access.host,
-            port=access.port,
-            token=access.token,
-            allow_commands=config.allow_commands,
-            host_names=config.host_names,
-            most_viewers=config.most_viewers,
+            access=access,
+            serve=self._config,
             camera=camera,
             vehicle=vehicle,
             pad=pad,

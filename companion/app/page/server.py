@@ -89,7 +89,7 @@ def _let_in(request: web.Request, start: Start) -> None:
         HTTPForbidden: it is not.
     """
     kind, _, given = request.headers.get("Authorization", "").partition(" ")
-    if start.token is not None and not (kind == "Bearer" and same_token(given, start.token)):
+    if (token := start.access.token) is not None and not (kind == "Bearer" and same_token(given, token)):
         raise web.HTTPForbidden(text="needs the token\n")
 
 
@@ -209,7 +209,7 @@ class PageServer:
 
     def __init__(self, start: Start, say: Say) -> None:
         self._start, self._say, self._clock = start, say, Clock()
-        self._names = own_names(start.host_names)
+        self._names = own_names(start.serve.host_names)
         self._viewers: set[Viewer] = set()
         self._admitted: set[web.RequestHandler] = set()  # the viewers' connections
         self._orders: dict[int, Viewer] = {}
@@ -290,7 +290,7 @@ class PageServer:
         await socket.prepare(request)
         if not await self._shows_token(socket):
             await socket.close(code=WRONG_TOKEN, message=b"wrong token")
-        elif len(self._viewers) >= self._start.most_viewers:
+        elif len(self._viewers) >= self._start.serve.most_viewers:
             await socket.close(code=TOO_MANY, message=b"too many viewers")
         else:
             self._admitted.add(request.protocol)
@@ -302,7 +302,7 @@ class PageServer:
 
     async def _shows_token(self, socket: web.WebSocketResponse) -> bool:
         """Whether its first message is the token, where there is one."""
-        token = self._start.token
+        token = self._start.access.token
         if token is None:
             return True
         with suppress(TimeoutError, TypeError, ValueError, RecursionError):
@@ -315,7 +315,7 @@ class PageServer:
 
     async def _show(self, socket: web.WebSocketResponse) -> None:
         viewer = Viewer(socket, self._clock)
-        viewer.offer("hello", json.dumps({"kind": "hello", "commands": self._start.allow_commands}))
+        viewer.offer("hello", json.dumps({"kind": "hello", "commands": self._start.serve.allow_commands}))
         self._viewers.add(viewer)
         self._say({"viewers": len(self._viewers)})
         sending = asyncio.create_task(self._send(viewer, socket))
