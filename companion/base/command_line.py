@@ -22,7 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import zip_longest
-from typing import Annotated, Any, Final, NoReturn, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, Final, NoReturn, TextIO
 
 import typer
 from typer.core import TyperGroup
@@ -30,6 +30,9 @@ from typer.exceptions import TyperException
 
 from companion import __version__
 from companion.base.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 USER_ERROR: Final = 2
 INTERRUPTED: Final = 130
@@ -251,6 +254,12 @@ def _let_go_of(stream: TextIO) -> None:
         target = os.open(os.devnull, os.O_WRONLY)
         os.dup2(target, stream.fileno())
         os.close(target)
+
+
+def say(console: Console, *lines: str) -> None:
+    """Print lines as they are: whole, whatever the terminal's width, with nothing in them coloured."""
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def print_error(program: str, text: str, code: int) -> int:

@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.command_line import say
 from companion.base.files import save_figure
 from companion.plan.speed.fuzzy_check import LARGEST_ERROR, AnyTable, TableError, table_error, worst_slips
 from companion.plan.speed.fuzzy_rules import (
@@ -132,12 +133,12 @@ def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite:
         for block in rule_tables(rule_set):
             console.print(block)
     if written is not None:
-        console.print(f"table written: {written}", highlight=False, soft_wrap=True)
+        say(console, f"table written: {written}")
     elif how == "computed":
-        console.print("no table belongs to these rules: computed anew, at each start; see --write-table")
+        say(console, "no table belongs to these rules: computed anew, at each start; see --write-table")
     if plot is not None:
         draw(read, table, plot)
-        console.print(f"picture: {plot}", highlight=False, soft_wrap=True, markup=False)
+        say(console, f"picture: {plot}")
     held = [_check(console, *each, points, np.random.default_rng(seed)) for each in sets]
     return all(held)  # all are shown, whichever fails
 
@@ -145,8 +146,7 @@ def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite:
 def _check(console: Console, rules: RuleSet, table: AnyTable, points: int, rng: np.random.Generator) -> bool:
     """Print what a table is worth; whether it holds and the rules are a pilot's."""
     error, slips = table_error(rules, table, points, rng), worst_slips(rules, table)
-    for line in (error_line(rules, error), *sense_lines(slips)):
-        console.print(line, highlight=False, soft_wrap=True)
+    say(console, error_line(rules, error), *sense_lines(slips))
     return error.holds and all(slip <= MONOTONE_TOLERANCE_M_S for slip in slips.values())
 
 

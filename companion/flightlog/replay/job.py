@@ -8,6 +8,7 @@ from typing import Final
 from rich.console import Console
 from rich.progress import Progress
 
+from companion.base.command_line import say
 from companion.base.files import cannot_read, make_folder, write_atomically
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
@@ -43,11 +44,10 @@ def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None
         replayed = replay(record.events, choice.rig, report)
     result = _result(log, record, replayed, choice)
     console.print(replay_table(result))  # first: the disk may be full
-    for line in replay_lines(result):
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    say(console, *replay_lines(result))
     write_atomically(folder / RESULT_NAME, result.model_dump_json(indent=2) + "\n")
     write_page(folder / PAGE_NAME, result, record, replayed)
-    console.print(f"{RESULT_NAME} and {PAGE_NAME} in {folder}", highlight=False, soft_wrap=True, markup=False)
+    say(console, f"{RESULT_NAME} and {PAGE_NAME} in {folder}")
 
 
 def read_log(path: Path) -> FlightRecord:

@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from companion.base.clock import wall_clock_s
+from companion.base.command_line import say
 from companion.base.files import make_folder, write_atomically
 from companion.base.geometry import FloatArray, matrix_from_quat
 from companion.base.messages import Frame, PadSighting
@@ -257,11 +259,8 @@ def detect_all(
     console, tally = Console(), Tally()
     overlays = None if out is None else Overlays(out)
 
-    def say(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True, markup=False)
-
     try:
-        for photo in read_photos(photo_paths(sources), say):
+        for photo in read_photos(photo_paths(sources), partial(say, console)):
             if photo.size_px != finder.lens.size_px:
                 tally.other_sizes[photo.size_px] += 1
                 continue
@@ -274,7 +273,7 @@ def detect_all(
             if send is not None and found.sighting is not None:
                 send(found.sighting, finder.pad)
             words = line(found)
-            say(f"{photo.name}: {words}, {1e3 * took_s:.0f} ms")
+            say(console, f"{photo.name}: {words}, {1e3 * took_s:.0f} ms")
             if overlays is not None:
                 overlays.write(photo, draw(photo.image, found, finder.pad, finder.lens, words))
     finally:
@@ -282,8 +281,7 @@ def detect_all(
             overlays.close()
     if not tally.times_s:
         raise ConfigError(f"{sources[0]}: {'; '.join(tally.lines(finder.lens.size_px))}")
-    for text in (*tally.lines(finder.lens.size_px), *(() if overlays is None else overlays.lines())):
-        say(text)
+    say(console, *tally.lines(finder.lens.size_px), *(() if overlays is None else overlays.lines()))
     return bool(tally.distances_m)
 
 

@@ -6,6 +6,7 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.command_line import say
 from companion.config import ConfigError
 from companion.tools.identify.judge import (
     IdentificationLog,
@@ -41,8 +42,7 @@ def identify_and_show(log: Path, check: Path | None) -> bool:
         raise ConfigError(f"{log}: {error}") from error
     console = Console()
     console.print(response_table(record, found))
-    for line in (*notes(found), *prediction_lines(found), *settings_lines(record, found)):
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    say(console, *notes(found), *prediction_lines(found), *settings_lines(record, found))
     return found.all_hold
 
 

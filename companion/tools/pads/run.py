@@ -12,6 +12,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.command_line import say
 from companion.base.files import YAML_SUFFIXES, save_figure, write_atomically
 from companion.base.geometry import FloatArray
 from companion.base.messages import MarkerGroup
@@ -126,7 +127,7 @@ def run_pad(
     made = load_pad(pad) if single is None else single_pad(single)
     if paper is not None:
         made = on_paper(made, paper, pad)
-    _say(console, *summary(made))
+    say(console, *summary(made))
     if coverage:
         _judge(made, camera or DEFAULT_CAMERA, replace(HOVER, **spread), output, console)
     elif output is not None:
@@ -134,7 +135,7 @@ def run_pad(
             path = output.with_suffix(".yaml")
             body = yaml.safe_dump(made.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
             write_atomically(path, f"# Written by companion pad single\n{body}")
-            _say(console, f"{path}: name it in the settings: pad: {path}")
+            say(console, f"{path}: name it in the settings: pad: {path}")
         if single is None or output.suffix.lower() != YAML_SUFFIXES[0]:
             _print(made, output, console)
 
@@ -176,8 +177,8 @@ def _print(pad: Pad, output: Path, console: Console) -> None:
     pages = draw_pad(pad)
     for path in save(pages, output):
         resolution = f" ({png_dpi(pages[0].size_mm)} dots an inch)" if path.suffix.lower() == ".png" else ""
-        _say(console, f"{path}{resolution}")
-    _say(console, "print at 100 %, and hold a ruler against the one on the sheet")
+        say(console, f"{path}{resolution}")
+    say(console, "print at 100 %, and hold a ruler against the one on the sheet")
 
 
 def _judge(pad: Pad, camera_name: str, spread: HoverSpread, output: Path | None, console: Console) -> None:
@@ -186,12 +187,7 @@ def _judge(pad: Pad, camera_name: str, spread: HoverSpread, output: Path | None,
     camera = load_model(CameraConfig, find_file("cameras", camera_name))
     console.print(coverage_table(predict(pad, camera, spread, np.array(TABLE_HEIGHTS_M))))
     everywhere = predict(pad, camera, spread)
-    _say(console, f"{camera.name}, {spread.words}:", *coverage_lines(everywhere))
+    say(console, f"{camera.name}, {spread.words}:", *coverage_lines(everywhere))
     if output is not None:
         draw_coverage(everywhere, pad, camera, output)
-        _say(console, f"picture: {output}")
-
-
-def _say(console: Console, *lines: str) -> None:
-    for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+        say(console, f"picture: {output}")
