@@ -118,12 +118,7 @@ class EstimateWatch:
     """`run` is a task of the app's."""
 
     def __init__(
-        self,
-        estimator: StateEstimator,
-        session: Session,
-        log: FlightLog,
-        clock: Clock,
-        notify: Notify,
+        self, estimator: StateEstimator, session: Session, log: FlightLog, clock: Clock, notify: Notify
     ) -> None:
         self._estimator, self._session, self._log = estimator, session, log
         self._clock, self._notify = clock, notify

@@ -65,9 +65,7 @@ class UdpSocket(asyncio.DatagramProtocol):
         self._calls = not listen
         address = (host, port)
         self._socket, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-            lambda: self,
-            local_addr=address if listen else None,
-            remote_addr=None if listen else address,
+            lambda: self, local_addr=address if listen else None, remote_addr=None if listen else address
         )
         ours: tuple[str, int] = self._socket.get_extra_info("sockname")
         return ours[1]

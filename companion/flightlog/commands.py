@@ -148,8 +148,7 @@ def replay_command(
         ),
     ] = None,
     config: Annotated[
-        Path | None,
-        typer.Option("--config", help="Other settings than the flight's own.", metavar="FILE"),
+        Path | None, typer.Option("--config", help="Other settings than the flight's own.", metavar="FILE")
     ] = None,
 ) -> None:
     must_exist(log, "expected a flight's folder, flight.mcap or zip, an ArduPilot .bin or a PX4 .ulg")

@@ -25,12 +25,7 @@ SIMULATED_HARDWARE: Final[dict[str, Any]] = {
     "mount": None,
     "sense": {
         "imu": ImuConfig().model_dump(
-            include={
-                "address",
-                "body_from_sensor_deg",
-                "inertial_calibration",
-                "magnetometer_calibration",
-            }
+            include={"address", "body_from_sensor_deg", "inertial_calibration", "magnetometer_calibration"}
         ),
         "gps": GpsConfig().model_dump(include={"antenna_position_body_m"}),
         "autopilot": {"magnetometer_calibration": None},

@@ -52,21 +52,14 @@ def add_file_routes(app: web.Application, start: Start) -> None:
         return web.Response(text=start.settings_text)
 
     app.add_routes(
-        [
-            web.get("/flights", flights),
-            web.get("/flights/{name}", flight),
-            web.get("/settings", settings),
-        ]
+        [web.get("/flights", flights), web.get("/flights/{name}", flight), web.get("/settings", settings)]
     )
 
 
 def listed(root: Path | None) -> list[dict[str, Any]]:
     """The flights, newest first, with their sizes."""
     return [
-        {
-            "name": folder.name,
-            "megabytes": size_bytes(folder) / MEGABYTE,
-        }
+        {"name": folder.name, "megabytes": size_bytes(folder) / MEGABYTE}
         for folder in reversed(_folders(root))
     ]
 

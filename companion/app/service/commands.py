@@ -203,10 +203,7 @@ def _rows(r: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
     if waiting := [e["quantity"] for e in r["sources"] if e["state"] == SourceState.NOT_MEASURED]:
         yield "not measured yet", Text(", ".join(waiting), style="dim")
     for name, latency in r["latency"].items():
-        yield (
-            f"exposure to {name}",
-            f"p50 {latency['p50_ms']:.0f} ms, p99 {latency['p99_ms']:.0f} ms",
-        )
+        yield (f"exposure to {name}", f"p50 {latency['p50_ms']:.0f} ms, p99 {latency['p99_ms']:.0f} ms")
     yield "late cycles", f"{r['late_cycles_percent']:.1f} %"
     yield "machine", _machine(r["machine"])
     yield "recording", r["recording"] or "-"

@@ -88,11 +88,7 @@ class CameraAnnotations:
                 }
             )
             if marker_id is not None:
-                label = {
-                    "timestamp": stamp(exposure_unix_ns),
-                    "position": points[0],
-                    "text": str(marker_id),
-                }
+                label = {"timestamp": stamp(exposure_unix_ns), "position": points[0], "text": str(marker_id)}
                 drawn.message["texts"].append({**label, "font_size": TEXT_PX, "text_color": tint})
         return drawn
 

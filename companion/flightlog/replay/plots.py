@@ -18,11 +18,7 @@ from companion.base.geometry import FloatArray, euler_from_quat
 from companion.base.units import without_unit
 from companion.flightlog.errors import RecordedTrack
 from companion.flightlog.replay.compare import Comparison, Repetition, ReplayResult, tracks_of
-from companion.flightlog.replay.flight_record import (
-    FlightRecord,
-    Source,
-    TrackName,
-)
+from companion.flightlog.replay.flight_record import FlightRecord, Source, TrackName
 from companion.flightlog.replay.run import Replayed
 from companion.flightlog.report.figures import (
     AXES,

@@ -22,10 +22,7 @@ from companion.flightlog.result import latency, phase_times
 
 TEMPLATE: Final = Path(__file__).with_name("page.html")
 PLOT_OPTIONS: Final = {"responsive": True, "displaylogo": False, "scrollZoom": False}
-VERDICT_COLOURS: Final = {
-    Outcome.LANDED.value: "#1e8449",
-    Outcome.CRASHED.value: "#922b21",
-}
+VERDICT_COLOURS: Final = {Outcome.LANDED.value: "#1e8449", Outcome.CRASHED.value: "#922b21"}
 OTHER_COLOUR: Final = "#b9770e"
 # plotly's camera sees as much in height on every screen: on a narrow one it steps back, else sides are cut
 FIT_PATH: Final = """
