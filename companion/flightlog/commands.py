@@ -12,7 +12,8 @@ import typer
 
 from companion.base.errors import ConfigError
 from companion.base.files import must_be_readable, must_exist, unpacked
-from companion.flightlog.log_file import REPAIRED_NAME
+from companion.flightlog.flights import number_of, numbered_flights
+from companion.flightlog.log_file import LOG_NAMES, REPAIRED_NAME, find_log
 
 # ---------------------------------------------------------------- companion logs
 
@@ -69,20 +70,35 @@ def logs_command(
         raise ConfigError("logs list: lists all flights; expected no FLIGHT and no --output")
     if action is not LogsAction.LIST and flight is None:
         raise ConfigError(f"logs {action}: which one? Expected a FLIGHT: a number of the list, or a path")
+    chosen = root if flight is None else find_flight(root, flight)
+    if action is LogsAction.EXPORT:
+        must_be_readable(chosen / LOG_NAMES[0])
+    elif flight is not None:
+        chosen = find_log(chosen)
     from companion.flightlog import logs
     from companion.flightlog.tables import TableFormat
 
     if flight is None:
         logs.list_flights(root)
-        return
-    chosen = logs.find_flight(root, flight)
-    match action:
-        case LogsAction.EXPORT:
-            logs.export(chosen, output)
-        case LogsAction.CONVERT:
-            logs.convert_log(chosen, output, TableFormat(form))
-        case _:
-            logs.repair(chosen, output)
+    elif action is LogsAction.EXPORT:
+        logs.export(chosen, output)
+    elif action is LogsAction.CONVERT:
+        logs.convert_log(chosen, output, TableFormat(form))
+    else:
+        logs.repair(chosen, output)
+
+
+def find_flight(root: Path, flight: str) -> Path:
+    """The path that is meant by a number or a name in the list, or by a path."""
+    path, named = Path(flight), root / flight
+    if path.exists() or named.is_dir():
+        return path if path.exists() else named
+    if not flight.isdecimal():
+        return path
+    for folder in numbered_flights(root):
+        if number_of(folder) == int(flight):
+            return folder
+    raise ConfigError(f"{root}: no flight {flight}; 'companion logs --record {root}' lists what there is")
 
 
 # ---------------------------------------------------------------- companion report

@@ -15,28 +15,13 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from companion.base.errors import ConfigError
-from companion.base.files import cannot_read, must_be_readable, replaced
-from companion.flightlog.flights import number_of, numbered_flights, recorded_flights
-from companion.flightlog.log_file import LOG_NAMES, REPAIRED_NAME, find_log, records
+from companion.base.files import cannot_read, replaced
+from companion.flightlog.flights import recorded_flights
+from companion.flightlog.log_file import REPAIRED_NAME, records
 from companion.flightlog.summary import summary_of
 from companion.flightlog.tables import TableFormat, convert
 
 MEGABYTE: Final = 1_000_000
-
-
-def find_flight(root: Path, flight: str) -> Path:
-    """The path that is meant by a number or a name in the list, or by a path."""
-    path, named = Path(flight), root / flight
-    if path.exists():
-        return path
-    if named.is_dir():
-        return named
-    if flight.isdecimal():
-        for folder in numbered_flights(root):
-            if number_of(folder) == int(flight):
-                return folder
-        raise ConfigError(f"{root}: no flight {flight}; 'companion logs --record {root}' lists what there is")
-    return path
 
 
 def list_flights(root: Path) -> None:
@@ -72,7 +57,6 @@ def list_flights(root: Path) -> None:
 
 def export(folder: Path, output: Path | None) -> None:
     """Put a flight's folder into one zip file."""
-    must_be_readable(folder / LOG_NAMES[0])
     target = _new(output or Path(f"{folder.resolve().name}.zip"))
     try:
         # the log is compressed already
@@ -87,16 +71,14 @@ def export(folder: Path, output: Path | None) -> None:
     typer.echo(f"{target}: {target.stat().st_size / MEGABYTE:.1f} MB, all of {folder}")
 
 
-def convert_log(log: Path, output: Path | None, form: TableFormat) -> None:
-    source = find_log(log)
+def convert_log(source: Path, output: Path | None, form: TableFormat) -> None:
     folder = output or source.with_name("tables")
     written = convert(source, folder, form)
     typer.echo(f"{folder}: {len(written)} tables, {sum(written.values())} rows of {source}")
 
 
-def repair(log: Path, output: Path | None) -> None:
+def repair(source: Path, output: Path | None) -> None:
     """Write what can be read of a log into a new one, with an index; the log is left as it is."""
-    source = find_log(log)
     target = _new(output or source.with_name(REPAIRED_NAME))
     try:
         with replaced(target) as part:
