@@ -21,47 +21,25 @@ from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable
 from sitl.commands import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 
 PROGRAM: Final = "companion"
+FLIGHTLOG, TOOLS = "companion.flightlog.commands", "companion.tools.commands"
 COMMANDS: Final = {
-    "replay": Command(
-        "companion.flightlog.replay.command:replay_command", "Run the estimators again over a log."
-    ),
-    "identify": Command(
-        "companion.tools.identify.command:identify_command",
-        "Identify the vehicle's response from a flight.",
-    ),
+    "replay": Command(f"{FLIGHTLOG}:replay_command", "Run the estimators again over a log."),
+    "identify": Command(f"{TOOLS}:identify_command", "Identify the vehicle's response from a flight."),
     "check": Command(
-        "companion.tools.pad_check.command:check_command",
-        "Check everything before a flight; --pad: sensors and axes, by hand.",
+        f"{TOOLS}:check_command", "Check everything before a flight; --pad: sensors and axes, by hand."
     ),
-    "detect": Command(
-        "companion.tools.detect.command:detect_command", "Find the pad in your own photos and videos."
-    ),
-    "fuzzy": Command(
-        "companion.tools.fuzzy.command:fuzzy_command", "Show the fuzzy speed controller, its rules and table."
-    ),
-    "pad": Command(
-        "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
-    ),
-    "logs": Command("companion.flightlog.logs:logs_command", "List, export, convert, repair flight logs."),
+    "detect": Command(f"{TOOLS}:detect_command", "Find the pad in your own photos and videos."),
+    "fuzzy": Command(f"{TOOLS}:fuzzy_command", "Show the fuzzy speed controller, its rules and table."),
+    "pad": Command(f"{TOOLS}:pad_command", "Check and print a pad; show how a camera sees it."),
+    "logs": Command(f"{FLIGHTLOG}:logs_command", "List, export, convert, repair flight logs."),
     "settings": Command(
-        "companion.tools.settings.command:settings_command", "Explain settings: unit, default, meaning."
+        "companion.tools.settings:settings_command", "Explain settings: unit, default, meaning."
     ),
-    "setup": Command(
-        "companion.tools.setup.command:setup_command",
-        "Switch on what the wiring needs, on a Raspberry Pi.",
-    ),
-    "status": Command(
-        "companion.app.service.commands:status_command", "Show what the running service does.", "STATUS_HELP"
-    ),
-    "order": Command(
-        "companion.app.service.commands:order_command",
-        "Order the service to land, fly, stop.",
-        "ORDER_HELP",
-    ),
+    "setup": Command(f"{TOOLS}:setup_command", "Switch on what the wiring needs, on a Raspberry Pi."),
+    "status": Command("companion.app.service.commands:status_command", "Show what the running service does."),
+    "order": Command("companion.app.service.commands:order_command", "Order the service to land, fly, stop."),
     "permit": Command("companion.app.service.latch:permit_command", "Let the next start of the app fly."),
-    "report": Command(
-        "companion.flightlog.report.command:report_command", "Write a flight's report as one page."
-    ),
+    "report": Command(f"{FLIGHTLOG}:report_command", "Write a flight's report as one page."),
     "flights": Command(
         "companion.sim.flights:flights_command", "Fly many in one process, for a campaign.", hidden=True
     ),
@@ -156,7 +134,7 @@ def companion(
     must_be_readable(config)
     from companion.app.command import Output, fly_the_vehicle, stand_by  # noqa: PLC0415 - see above
 
-    output = Output.of(record, json_file, live=not no_ui, serve=serve)
+    output = Output(record, json_file, live=not no_ui, serve=serve)
     if not sitl:
         raise typer.Exit((fly_the_vehicle if flies else stand_by)(config, output))
     from companion.sim.command import fly_in_sitl, load_trial  # noqa: PLC0415 - see above
@@ -167,11 +145,7 @@ def companion(
 
 
 def alone(context: typer.Context) -> None:
-    """Refuse options of a flight before the name of another command.
-
-    Raises:
-        ConfigError: there is one.
-    """
+    """Refuse options of a flight before the name of another command."""
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if source is not None and source.name == "COMMANDLINE":
@@ -180,11 +154,7 @@ def alone(context: typer.Context) -> None:
 
 
 def refuse(options: Mapping[str, object]) -> None:
-    """Refuse options that need the simulator.
-
-    Raises:
-        ConfigError: one of them was given.
-    """
+    """Refuse options that need the simulator."""
     for name, value in options.items():
         if value is not None:
             raise ConfigError(f"{name}: needs --sitl; the vehicle flies in real time, with no truth to score")

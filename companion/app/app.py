@@ -160,7 +160,6 @@ class ActionQueue:
 
     @property
     def busy(self) -> bool:
-        """Whether an action is waiting or under way."""
         return self._under_way is not None or bool(self._waiting)
 
     def add(self, action: Action) -> None:
@@ -178,7 +177,6 @@ class ActionQueue:
         self._arrived.set()
 
     def clear(self) -> None:
-        """Drop what waits and cancel what is under way."""
         self._waiting.clear()
         self._actions.cancel()
 
@@ -223,9 +221,6 @@ class App:
         """Make the stages; with a reason for `standby` it watches, and follows no order.
 
         Else it flies at once, unless it `stays`: then it stands by, before its first order and after each.
-
-        Raises:
-            ConfigError: a settings file named in the configuration is missing or wrong.
         """
         self._config, self._hardware, self._log, self._on_status = config, hardware, log, on_status
         self._clock = Clock()

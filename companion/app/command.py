@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -48,25 +48,14 @@ EXIT_CODES: Final = {
 class Output:
     """Where a flight shows itself and leaves its files."""
 
-    console: Console
     record: Path | None
     json_file: Path | None
     live: bool
     serve: str | None = None  # the live page's address, over that of the settings
-
-    @classmethod
-    def of(
-        cls, record: Path | None, json_file: Path | None, *, live: bool, serve: str | None = None
-    ) -> Output:
-        """On standard output, with the files and the address that the options name."""
-        return cls(Console(), record, json_file, live, serve)
+    console: Console = field(default_factory=Console)
 
     def shown(self, config: CompanionConfig) -> CompanionConfig:
-        """The settings with the live page where the options want it.
-
-        Raises:
-            ConfigError: that is no address.
-        """
+        """The settings with the live page where the options want it."""
         if self.serve is None:
             return config
         page = merge(config.serve.model_dump(), {"address": self.serve})
@@ -74,11 +63,7 @@ class Output:
 
 
 def fly_the_vehicle(config_path: Path, output: Output) -> int:
-    """Fly the real vehicle once, at once, and return the exit code.
-
-    Raises:
-        ConfigError: something the user can correct.
-    """
+    """Fly the real vehicle once, at once, and return the exit code."""
     prepare_opencv()
     config = output.shown(load_config(config_path))
     if not config.plan.mission.may_arm:
@@ -110,11 +95,6 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
 
 
 def must_fly(config: CompanionConfig, where: str) -> None:
-    """Refuse a flight by settings that fly nothing.
-
-    Raises:
-        ConfigError: they send landing targets alone.
-    """
     if config.control.output == "landing_target":
         raise ConfigError(f"{where}: control.output landing_target flies nothing; expected setpoints")
 
@@ -133,11 +113,7 @@ async def _vehicle_flight(
 
 
 def stand_by(config_path: Path, output: Output) -> int:
-    """Stand by on the real vehicle until stopped, following orders; returns the exit code.
-
-    Raises:
-        ConfigError: something the user can correct.
-    """
+    """Stand by on the real vehicle until stopped, following orders; returns the exit code."""
     prepare_opencv()
     config = output.shown(load_config(config_path))
     clear = partial(_make_room, output.record, config)
@@ -206,17 +182,12 @@ async def _tell_ground(
 
 
 def _make_room(record: Path | None, config: CompanionConfig) -> None:
-    """Room for the next flight, by the settings."""
     if record is not None and record.is_dir():
         make_room(record, int(1e6 * config.record.total_mb), int(1e6 * config.record.free_mb))
 
 
 def new_log(folder: Path | None, *, virtual: bool, keeps: bool = True) -> FlightLog:
-    """A log in a folder that has none yet; `keeps`: for a score, what that reads stays in memory.
-
-    Raises:
-        ConfigError: the folder holds a flight already, or cannot be written.
-    """
+    """A log in a folder that has none yet; `keeps`: for a score, what that reads stays in memory."""
     if folder is not None and (folder / "flight.mcap").exists():
         raise ConfigError(f"--record {folder}: holds a flight already; expected a new or empty folder")
     return FlightLog(folder, start_unix_s=start_unix_s(virtual=virtual), virtual=virtual, keeps=keeps)

@@ -219,7 +219,6 @@ class AwaitedPort(_AwaitedLine[SerialLine]):
         self._if_there(lambda port: port.write(data))
 
     def set_baud(self, baud: int) -> None:
-        """Change the rate of a port that is there."""
         self._if_there(lambda port: port.set_baud(baud))
 
     def _if_there(self, act: Callable[[SerialLine], None]) -> None:

@@ -52,7 +52,6 @@ class Announcer:
         self.recent: deque[Notice] = deque(maxlen=KEPT_NOTICES)
 
     def notify(self, kind: str, text: str, severity: Severity) -> None:
-        """Tell something that happens now."""
         self.publish(Notice(self._clock.now_s(), kind, text, severity))
 
     def notify_once(self, kind: str, text: str, severity: Severity) -> None:
@@ -80,7 +79,6 @@ class Announcer:
         return self._told_s.setdefault(told, now_s) < now_s
 
     def take(self) -> list[Notice]:
-        """The notices since the last call."""
         new, self._new = self._new, []
         return new
 
@@ -112,12 +110,10 @@ class OrderDesk:
 
     @property
     def followed(self) -> Order | None:
-        """The order that the present mission carries out."""
         return self._followed
 
     @property
     def stop_requested(self) -> bool:
-        """Whether the present mission is to be stopped."""
         return bool(self._stops)
 
     def take(self, orders: Iterable[Order]) -> None:

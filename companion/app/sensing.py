@@ -92,9 +92,7 @@ Notify = Callable[[str, str, Severity], None]
 class FrameProcessor(Protocol):
     """What processes frames: `companion.sense.vision.pipeline.Vision`, or a wrapper of it."""
 
-    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
-        """Process one frame."""
-        ...
+    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult: ...
 
 
 class Estimates(Protocol):
@@ -131,9 +129,6 @@ class Sensing:
 
         `onboard` are the autopilot's sensors, if they are used; `frame_time_offset_s` is added to the frames'
         stamps.
-
-        Raises:
-            ConfigError: a calibration that the settings name is missing, or another sensor's.
         """
         self._config, self._hardware = config, hardware
         self._onboard = onboard
@@ -408,11 +403,7 @@ class Sensing:
 
 
 def forced_calibrations(config: CompanionConfig) -> Iterator[str]:
-    """A line for each calibration that was written by force, with the reasons.
-
-    Raises:
-        ConfigError: a file is missing or wrong.
-    """
+    """A line for each calibration that was written by force, with the reasons."""
     camera = load_model(CameraConfig, find_file("cameras", config.camera)).calibration
     if camera is not None and camera.verdict:
         yield _line(config.camera, camera.verdict)

@@ -66,7 +66,6 @@ class SourceWatch:
         self._announced: set[Quantity] = set()
 
     def begin(self) -> None:
-        """A new mission."""
         self._announced.clear()
         self._estimator.begin_checks()
 
@@ -119,12 +118,7 @@ class EstimateWatch:
     """`run` is a task of the app's."""
 
     def __init__(
-        self,
-        estimator: StateEstimator,
-        session: Session,
-        log: FlightLog,
-        clock: Clock,
-        notify: Notify,
+        self, estimator: StateEstimator, session: Session, log: FlightLog, clock: Clock, notify: Notify
     ) -> None:
         self._estimator, self._session, self._log = estimator, session, log
         self._clock, self._notify = clock, notify
@@ -217,11 +211,7 @@ class Stages:
     def __init__(
         self, config: CompanionConfig, hardware: Hardware, log: FlightLog, clock: Clock, notify: Notify
     ) -> None:
-        """Make the stages and write the settings that they use into the log.
-
-        Raises:
-            ConfigError: a settings file named in the configuration is missing or wrong.
-        """
+        """Make the stages and write the settings that they use into the log."""
         mount = load_mount(config.mount, config.camera)
         vehicle = self.vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
         camera = load_model(CameraConfig, find_file("cameras", config.camera))

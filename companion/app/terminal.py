@@ -83,16 +83,22 @@ class StatusView:
 def status_table(status: Status) -> Table:
     """Phase, height, pad distance and speed, marker groups, frame rate and latency, four in a row."""
     table = Table.grid(padding=(0, 2))
+    pad, vehicle, frame = status.pad, status.vehicle, status.last_frame
+    height = "-" if vehicle is None else f"{-vehicle.position_ned_m[2]:.1f} m"
     cells: dict[str, str | Text] = {
         "time": f"{status.time_s:6.1f} s",
         "phase": f"{status.phase.value} ({status.mode or '-'})",
-        "height": _height(status),
-        "pad distance": _pad_distance(status),
-        "pad speed": _pad_speed(status),
-        "markers F/M/C": _markers(status),
-        "frames": _frames(status),
+        "height": height if pad is None else f"{pad.height_m:.2f} m",
+        "pad distance": "-" if pad is None else f"{pad.lateral_m:.2f} m",
+        "pad speed": "-" if pad is None else f"{math.hypot(*pad.velocity_ned_m_s[:2]):.2f} m/s",
+        "markers F/M/C": "-"
+        if frame is None
+        else "/".join(str(frame.marker_count.get(g, 0)) for g in GROUPS),
+        "frames": f"{status.frame_rate_hz:.0f}/s",
         "latency": "-" if status.latency_ms is None else f"{status.latency_ms:.0f} ms",
     }
+    if status.camera_problem is not None:
+        cells["frames"] = Text("no camera", style=SEVERITY_STYLES["error"])
     names = list(cells)
     for _ in range(CELLS_A_ROW):
         table.add_column(justify="left", no_wrap=True)
@@ -102,34 +108,6 @@ def status_table(status: Status) -> Table:
         table.add_row(*(Text(name, style="dim") for name in row))
         table.add_row(*(cells[name] for name in row))
     return table
-
-
-def _height(status: Status) -> str:
-    if status.pad is not None:
-        return f"{status.pad.height_m:.2f} m"
-    return "-" if status.vehicle is None else f"{-status.vehicle.position_ned_m[2]:.1f} m"
-
-
-def _pad_distance(status: Status) -> str:
-    if status.pad is None:
-        return "-"
-    return f"{math.hypot(*status.pad.relative_position_ned_m[:2]):.2f} m"
-
-
-def _pad_speed(status: Status) -> str:
-    return "-" if status.pad is None else f"{math.hypot(*status.pad.velocity_ned_m_s[:2]):.2f} m/s"
-
-
-def _markers(status: Status) -> str:
-    if status.last_frame is None:
-        return "-"
-    return "/".join(str(status.last_frame.marker_count.get(group, 0)) for group in GROUPS)
-
-
-def _frames(status: Status) -> str | Text:
-    if status.camera_problem is not None:
-        return Text("no camera", style=SEVERITY_STYLES["error"])
-    return f"{status.frame_rate_hz:.0f}/s"
 
 
 def _notice_line(notice: Notice) -> Text:

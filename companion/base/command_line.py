@@ -22,7 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import zip_longest
-from typing import Annotated, Any, Final, NoReturn, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, Final, NoReturn, TextIO
 
 import typer
 from typer.core import TyperGroup
@@ -30,6 +30,9 @@ from typer.exceptions import TyperException
 
 from companion import __version__
 from companion.base.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 USER_ERROR: Final = 2
 INTERRUPTED: Final = 130
@@ -42,19 +45,19 @@ PIPE_CLOSED: Final = 141  # as a shell reports a program that SIGPIPE has ended
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command: `function` as "package.module:name", one line, and where in that module its help is."""
+    """A command: `function` as "module:NAME_command", with its help as `NAME_HELP` there, and one line."""
 
     function: str
     summary: str
-    help_name: str = "HELP"
     hidden: bool = False
 
     def load(self, name: str) -> Any:
         """Import the module and build the command that Typer runs."""
         module_name, _, function_name = self.function.partition(":")
         module = import_module(module_name)
+        told = getattr(module, f"{function_name.removesuffix('_command').upper()}_HELP")
         app = new_app(add_completion=False)
-        app.command(name, help=getattr(module, self.help_name))(getattr(module, function_name))
+        app.command(name, help=told)(getattr(module, function_name))
         return typer.main.get_command(app)
 
 
@@ -251,6 +254,12 @@ def _let_go_of(stream: TextIO) -> None:
         target = os.open(os.devnull, os.O_WRONLY)
         os.dup2(target, stream.fileno())
         os.close(target)
+
+
+def say(console: Console, *lines: str) -> None:
+    """Print lines as they are: whole, whatever the terminal's width, with nothing in them coloured."""
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def print_error(program: str, text: str, code: int) -> int:

@@ -39,7 +39,6 @@ def grey_of_light(encoding: Encoding, light: FloatArray) -> FloatArray:
 
 
 def decoding_table(encoding: Encoding) -> NDArray[np.float32]:
-    """Look-up table (256,) from grey values to light times 255."""
     return (FULL * light_of_greys(encoding)).astype(np.float32)
 
 

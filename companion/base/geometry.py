@@ -36,22 +36,18 @@ def wrap_angle(angle_rad: float) -> float:
 
 
 def add(a: Vector3, b: Vector3) -> Vector3:
-    """Sum of two vectors."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def subtract(a: Vector3, b: Vector3) -> Vector3:
-    """Difference a - b of two vectors."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def scale(a: Vector3, factor: float) -> Vector3:
-    """Vector times scalar."""
     return (a[0] * factor, a[1] * factor, a[2] * factor)
 
 
 def dot(a: Vector3, b: Vector3) -> float:
-    """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -61,7 +57,6 @@ def cross(a: Vector3, b: Vector3) -> Vector3:
 
 
 def norm(a: Vector3) -> float:
-    """Euclidean length."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 

@@ -129,7 +129,6 @@ def _field(name: str, hint: Any, columns: int | None) -> Schema:
 
 
 def _known(hint: Any) -> Any:
-    """The type without None."""
     if typing.get_origin(hint) in (Union, types.UnionType):
         (known,) = (part for part in typing.get_args(hint) if part is not type(None))
         return known

@@ -65,9 +65,7 @@ class UdpSocket(asyncio.DatagramProtocol):
         self._calls = not listen
         address = (host, port)
         self._socket, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-            lambda: self,
-            local_addr=address if listen else None,
-            remote_addr=None if listen else address,
+            lambda: self, local_addr=address if listen else None, remote_addr=None if listen else address
         )
         ours: tuple[str, int] = self._socket.get_extra_info("sockname")
         return ours[1]
@@ -77,7 +75,6 @@ class UdpSocket(asyncio.DatagramProtocol):
         return True
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """asyncio: a datagram came."""
         # a calling socket is connected: the system passes on what the peer sent and nothing else
         if self._calls or self.accepts(data, addr):
             self._peer = addr
@@ -87,7 +84,6 @@ class UdpSocket(asyncio.DatagramProtocol):
         """asyncio: the peer is not there yet (ICMP refused); it may come, so go on."""
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """asyncio: the socket is closed."""
         self._inbox.fail(OSError(f"the UDP socket is closed{f': {exc}' if exc else ''}"))
 
     async def read(self) -> bytes:

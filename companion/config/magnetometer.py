@@ -70,7 +70,6 @@ class MagnetometerCalibration(StrictModel):
 
     @property
     def matrix(self) -> FloatArray:
-        """soft_iron (3, 3)."""
         return np.array(self.soft_iron)
 
     def apply(self, raw: FloatArray) -> FloatArray:

@@ -11,14 +11,7 @@ from pydantic import Field
 from companion.base.errors import ConfigError
 from companion.base.files import find_file
 from companion.config.calibration import Provenance
-from companion.config.reading import (
-    Model,
-    StrictModel,
-    Vector,
-    load_model,
-    read_yaml,
-    validate,
-)
+from companion.config.reading import Model, StrictModel, Vector, load_model, read_yaml, validate
 from companion.config.sense import SenseConfig
 from companion.config.vehicle import CameraConfig, VehicleConfig
 

@@ -98,7 +98,6 @@ def host_and_port(address: str) -> tuple[str, int]:
 
 
 def is_ip(host: str) -> bool:
-    """Whether it is an IP address, of either kind."""
     try:
         ipaddress.ip_address(host)
     except ValueError:

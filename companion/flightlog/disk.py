@@ -45,7 +45,6 @@ class DiskWriter:
 
     @property
     def problem(self) -> str | None:
-        """What was not written, if anything."""
         if self._failure is not None:
             return f"the flight log on disk ends here: {self._failure}"
         if self.failed:

@@ -21,6 +21,7 @@ from companion.base.files import cannot_read
 T = TypeVar("T")
 
 LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
+REPAIRED_NAME: Final = "flight-repaired.mcap"
 SETTINGS_NAME: Final = "settings.yaml"
 # the MCAP metadata that a replay needs
 SETTINGS_RECORD: Final = "settings"
@@ -28,9 +29,36 @@ VERSIONS_RECORD: Final = "versions"
 LOSSES_RECORD: Final = "losses"
 
 
+MAGIC: Final = b"\x89MCAP0\r\n"
+EXPECTED: Final = "a flight's folder, its flight.mcap or another recording as .mcap"
+
+
 def log_file(path: Path) -> Path:
     """The log itself, of a path that may be a flight's folder."""
     return path / LOG_NAMES[0] if path.is_dir() else path
+
+
+def log_name(path: Path) -> str:
+    """What to call a log: its file's name, or its folder's where all files are called alike."""
+    file = log_file(path.resolve())
+    return file.parent.name if file.name == LOG_NAMES[0] else file.stem
+
+
+def find_log(path: Path) -> Path:
+    """The log itself, seen to be one by its first bytes, whatever it is called.
+
+    Raises:
+        ConfigError: it cannot be read, or is of another kind.
+    """
+    file = log_file(path)
+    try:
+        with file.open("rb") as stream:
+            start = stream.read(len(MAGIC))
+    except OSError as error:
+        raise cannot_read(file, error, expected=EXPECTED) from error
+    if start != MAGIC:
+        raise ConfigError(f"{file}: no recording of flights; expected {EXPECTED}")
+    return file
 
 
 def records(stream: IO[bytes], end_early: Callable[[], None]) -> Iterator[Any]:
@@ -62,11 +90,6 @@ class LogReader:
         self.cut = False
 
     def messages(self) -> Iterator[tuple[str, Message]]:
-        """Topics and messages.
-
-        Raises:
-            ConfigError: the file cannot be read.
-        """
         schemas, topics = dict[int, Schema](), dict[int, str]()
         try:
             with self.path.open("rb") as stream:
@@ -81,14 +104,10 @@ class LogReader:
                     elif isinstance(record, Metadata):
                         self.metadata[record.name] = record.metadata
         except OSError as error:
-            raise cannot_read(self.path, error, expected="a flight's folder, or its flight.mcap") from error
+            raise cannot_read(self.path, error, expected=EXPECTED) from error
 
     def decoded(self, kind: type[T], topic: str, message: Message) -> T:
-        """A message of a topic as ours.
-
-        Raises:
-            ConfigError: it is none.
-        """
+        """A message of a topic as ours."""
         from companion.base.message_json import decode  # noqa: PLC0415 - NumPy; a wrong name is reported first
 
         try:

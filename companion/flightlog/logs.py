@@ -1,123 +1,34 @@
-"""`companion logs`: the recorded flights as a list, one as an archive or as tables, a cut log made whole.
+"""The recorded flights as a list, one as an archive or as tables, a cut log made whole.
 
 Our own tools read a cut log as it is; others', Foxglove and the seeking reader of the `mcap` package among
 them, look for the index at its end.
 """
 
+import os
 import zipfile
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import IO, Final
 
 import typer
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.writer import CompressionType, Writer
 
-from companion.base.files import must_be_readable, replaced
-from companion.config import ConfigError
+from companion.base.errors import ConfigError
+from companion.base.files import cannot_read, replaced
+from companion.flightlog.flights import recorded_flights
+from companion.flightlog.log_file import REPAIRED_NAME, records
+from companion.flightlog.summary import summary_of
+from companion.flightlog.tables import TableFormat, convert
 
-HELP: Final = """List the recorded flights; export one, repair its log or convert that to tables.
-
-\b
-companion logs --record flights
-companion logs export 7
-companion logs repair flights/flight-0007
-companion logs convert 7 --to parquet
-
-FLIGHT is a number from the list, or the path of a flight's folder. Without --record the flights are those of
-the service, in /var/lib/companion, if that is there, and else those in the folder 'flights'.
-"""
-REPAIRED_NAME: Final = "flight-repaired.mcap"
-SERVICE_FLIGHTS: Final = Path("/var/lib/companion")
-FLIGHTS: Final = Path("flights")
 MEGABYTE: Final = 1_000_000
 
 
-class LogsAction(StrEnum):
-    LIST = "list"
-    EXPORT = "export"
-    REPAIR = "repair"
-    CONVERT = "convert"
-
-
-def logs_command(
-    action: Annotated[LogsAction, typer.Argument(help="What to do.")] = LogsAction.LIST,
-    flight: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FLIGHT",
-            help="Which one, for all but list; repair and convert also take a flight.mcap.",
-            show_default=False,
-        ),
-    ] = None,
-    record: Annotated[
-        Path | None, typer.Option("--record", help="Where the flights are.", metavar="DIR")
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help=f"What is made; else NAME.zip here, or {REPAIRED_NAME} or tables/ beside the log.",
-            metavar="PATH",
-        ),
-    ] = None,
-    form: Annotated[
-        Literal["csv", "parquet"], typer.Option("--to", help="What to convert to.", metavar="csv|parquet")
-    ] = "csv",
-) -> None:
-    """Carry it out, and say in one line what was made.
-
-    Raises:
-        ConfigError: there is no such flight, it cannot be read, or the new file exists or cannot be written.
-    """
-    root = record or (SERVICE_FLIGHTS if SERVICE_FLIGHTS.is_dir() else FLIGHTS)
-    if action is LogsAction.LIST:
-        if flight is not None or output is not None:
-            raise ConfigError("logs list: lists all flights; expected no FLIGHT and no --output")
-        list_flights(root)
-        return
-    if flight is None:
-        raise ConfigError(f"logs {action}: which one? Expected a FLIGHT: a number of the list, or a path")
-    chosen = find_flight(root, flight)
-    if action is LogsAction.EXPORT:
-        export(chosen, output)
-    elif action is LogsAction.CONVERT:
-        convert_log(chosen, output, form)
-    else:
-        repair_log(chosen, output)
-
-
-def find_flight(root: Path, flight: str) -> Path:
-    """The path that is meant by a number in the list, or by a path.
-
-    Raises:
-        ConfigError: there is none.
-    """
-    from companion.flightlog.flights import number_of, numbered_flights  # noqa: PLC0415 - see the others
-
-    if flight.isdecimal() and not Path(flight).exists():
-        for folder in numbered_flights(root):
-            if number_of(folder) == int(flight):
-                return folder
-        raise ConfigError(f"{root}: no flight {flight}; 'companion logs --record {root}' lists what there is")
-    return Path(flight)
-
-
 def list_flights(root: Path) -> None:
-    """Print one line a flight, oldest first.
-
-    Raises:
-        ConfigError: the folder cannot be read.
-    """
-    from companion.flightlog.flights import recorded_flights  # noqa: PLC0415 - a wrong name is reported first
-    from companion.flightlog.summary import summary_of  # noqa: PLC0415
-
     try:
         flights = recorded_flights(root)
     except OSError as error:
-        raise ConfigError(
-            f"--record {root}: cannot be read: {error.strerror}; expected a folder of flights"
-        ) from error
+        raise cannot_read(root, error, "--record", "a folder of flights") from error
     total = 0
     if flights:
         typer.echo(
@@ -145,12 +56,7 @@ def list_flights(root: Path) -> None:
 
 
 def export(folder: Path, output: Path | None) -> None:
-    """Put a flight's folder into one zip file.
-
-    Raises:
-        ConfigError: it holds no log, or the file exists or cannot be written.
-    """
-    must_be_readable(folder / "flight.mcap")
+    """Put a flight's folder into one zip file."""
     target = _new(output or Path(f"{folder.resolve().name}.zip"))
     try:
         # the log is compressed already
@@ -165,40 +71,52 @@ def export(folder: Path, output: Path | None) -> None:
     typer.echo(f"{target}: {target.stat().st_size / MEGABYTE:.1f} MB, all of {folder}")
 
 
-def convert_log(log: Path, output: Path | None, form: str) -> None:
-    """Write a log's topics as tables.
-
-    Raises:
-        ConfigError: the log cannot be read, or the tables cannot be written.
-    """
-    source = _source(log)
-    from companion.flightlog.tables import TableFormat, convert  # noqa: PLC0415 - reported first
-
+def convert_log(source: Path, output: Path | None, form: TableFormat) -> None:
     folder = output or source.with_name("tables")
-    written = convert(source, folder, TableFormat(form))
+    written = convert(source, folder, form)
     typer.echo(f"{folder}: {len(written)} tables, {sum(written.values())} rows of {source}")
 
 
-def repair_log(log: Path, output: Path | None) -> None:
-    """Write a whole file from what can be read of a log.
-
-    Raises:
-        ConfigError: the log cannot be read, or the new file exists or cannot be written.
-    """
-    source = _source(log)
+def repair(source: Path, output: Path | None) -> None:
+    """Write what can be read of a log into a new one, with an index; the log is left as it is."""
     target = _new(output or source.with_name(REPAIRED_NAME))
-    from companion.flightlog.repair import repair  # noqa: PLC0415 - a wrong name is reported without it
+    try:
+        with replaced(target) as part:
+            with source.open("rb") as stream, part.open("wb") as new:
+                times_ns, cut = _copy(stream, new)
+                new.flush()
+                os.fsync(new.fileno())
+            if not times_ns:
+                raise ConfigError(f"{source}: holds no message that can be read; expected an MCAP log")
+    except OSError as error:
+        raise ConfigError(f"{target}: cannot be written: {error.strerror}") from error
+    seconds, was = 1e-9 * (max(times_ns) - min(times_ns)), "cut short" if cut else "whole"
+    typer.echo(f"{target}: {len(times_ns)} messages over {seconds:.1f} s; {source} was {was}")
 
-    saved = repair(source, target)
-    was = "cut short" if saved.cut else "whole"
-    typer.echo(f"{target}: {saved.messages} messages over {saved.seconds:.1f} s; {source} was {was}")
 
-
-def _source(log: Path) -> Path:
-    """The file of a flight's folder, or itself, once it is seen to be readable."""
-    source = log / "flight.mcap" if log.is_dir() else log
-    must_be_readable(source)
-    return source
+def _copy(stream: IO[bytes], new: IO[bytes]) -> tuple[list[int], bool]:
+    """Copy all whole records; returns the times of the messages (ns), and whether the source is cut short."""
+    writer = Writer(new, compression=CompressionType.ZSTD)
+    writer.start(profile="", library="companion logs repair")
+    cut: list[bool] = []
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, int] = {}
+    times_ns: list[int] = []
+    for record in records(stream, lambda: cut.append(True)):
+        if isinstance(record, Schema):
+            schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Channel):
+            channels[record.id] = writer.register_channel(
+                record.topic, record.message_encoding, schemas.get(record.schema_id, 0), record.metadata
+            )
+        elif isinstance(record, Metadata):
+            writer.add_metadata(record.name, record.metadata)
+        elif isinstance(record, Message) and record.channel_id in channels:
+            channel = channels[record.channel_id]
+            writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
+            times_ns.append(record.log_time)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return times_ns, bool(cut)
 
 
 def _new(target: Path) -> Path:

@@ -31,7 +31,6 @@ class Meter:
         self._exposed_s: float | None = None
 
     def note(self, topic: str, message: Any, time_s: float) -> None:
-        """A message was logged at `time_s`."""
         self._counts[topic] = self._counts.get(topic, 0) + 1
         self._newest_s[topic] = time_s
         if isinstance(message, FrameReport):

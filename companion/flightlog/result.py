@@ -224,7 +224,6 @@ def phase_times(plans: Sequence[PlanStep]) -> PhaseTimes:
 
 
 def control_result(reports: Sequence[ControlReport]) -> ControlResult:
-    """Counts over a flight's cycles."""
     iterations = [report.iterations for report in reports]
     return ControlResult(
         cycles=len(reports),
@@ -283,7 +282,6 @@ def setpoint_delays_s(setpoints: Sequence[Setpoint]) -> list[float]:
 
 
 def _percentiles_ms(delays_s: Sequence[float]) -> tuple[float, float] | tuple[None, None]:
-    """p50 and p99."""
     if not delays_s:
         return None, None
     p50, p99 = np.percentile(1e3 * np.array(delays_s), [50, 99])

@@ -5,7 +5,7 @@ was cut short has no index and is read through.
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -31,7 +31,6 @@ class FlightSummary:
     else (`estimated`) at the end of a landing by the pad filter; None without either.
     """
 
-    folder: Path
     start_unix_s: float | None
     seconds: float
     outcome: str
@@ -47,7 +46,7 @@ class _Read:
 
     first_ns: int | None = None
     last_ns: int = 0
-    last: dict[str, dict[str, Any]] | None = None
+    last: dict[str, dict[str, Any]] = field(default_factory=dict)
     cut: bool = False
 
 
@@ -66,7 +65,7 @@ def summary_of(folder: Path) -> FlightSummary:
     with (folder / LOG_NAMES[0]).open("rb") as stream:
         read = _by_index(stream)
     read = read or _through(folder)
-    last = read.last or {}
+    last = read.last
     outcome, lateral_m = _verdict(folder / "result.json")
     estimated = outcome is None
     if outcome is None:
@@ -75,7 +74,6 @@ def summary_of(folder: Path) -> FlightSummary:
             lateral_m = decode(PadState, last["pad"]).lateral_m
     first_s = 0.0 if read.first_ns is None else 1e-9 * read.first_ns
     return FlightSummary(
-        folder=folder,
         start_unix_s=first_s if first_s > EARLIEST_UNIX_S else None,
         seconds=0.0 if read.first_ns is None else 1e-9 * (read.last_ns - read.first_ns),
         outcome=outcome,

@@ -28,11 +28,7 @@ class TableFormat(StrEnum):
 
 
 def convert(source: Path, folder: Path, form: TableFormat) -> dict[str, int]:
-    """Write a table a topic into a folder, which is made; returns the rows by file name.
-
-    Raises:
-        ConfigError: the log cannot be read, the folder cannot be written, or Parquet has no library here.
-    """
+    """Write a table a topic into a folder, which is made; returns the rows by file name."""
     tables = read_tables(source)
     if not tables:
         raise ConfigError(f"{source}: holds no message that can be read; expected an MCAP log")

@@ -17,7 +17,6 @@ MARGIN_CELLS: Final = 1.0 / 6.0  # of a marker's side, at the least: a cell of t
 
 
 def is_landing_target(data: Any) -> bool:
-    """Whether the data of a file is of that format."""
     markers = data.get("markers") if isinstance(data, dict) else None
     return bool(
         isinstance(markers, list)

@@ -47,7 +47,6 @@ def _first(rules: Sequence[Callable[[Pad], str | None]], pad: Pad) -> str | None
 
 
 def extent(corners: Corners) -> tuple[Interval, Interval]:
-    """Intervals of x and y that corners span."""
     xs, ys = zip(*corners, strict=True)
     return (min(xs), max(xs)), (min(ys), max(ys))
 
@@ -188,7 +187,6 @@ def _may_meet(a: Marker, b: Marker, margin_m: float) -> bool:
 
 
 def _directions(corners: Corners) -> Iterator[tuple[float, float]]:
-    """The square's two axes, of length 1."""
     (ax, ay), (bx, by), (cx, cy), _ = corners
     side = ((bx - ax) ** 2 + (by - ay) ** 2) ** 0.5
     yield (bx - ax) / side, (by - ay) / side

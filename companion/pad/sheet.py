@@ -53,7 +53,6 @@ class Sheet(StrictModel):
 
     @property
     def dot_m(self) -> float:
-        """Side of a printer's dot."""
         return 0.0254 / self.dots_per_inch
 
     @property

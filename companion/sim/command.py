@@ -13,7 +13,7 @@ from companion.base.errors import ConfigError
 from companion.base.files import must_be_writable, write_atomically
 from companion.base.messages import Outcome
 from companion.base.signals import signals_held_back
-from companion.flightlog.report.command import write_report
+from companion.flightlog.report import write_report
 from companion.flightlog.report.tables import result_table
 from companion.flightlog.result import Result
 from companion.sense.vision.opencv import prepare_opencv
@@ -39,11 +39,6 @@ def load_trial(
     *,
     fast: bool,
 ) -> Trial:
-    """What the options ask for.
-
-    Raises:
-        ConfigError: they do not go together, or the scenario is wrong.
-    """
     kind, program, parameters = firmware
     return Trial.load(
         scenario, seed, External.of(external, fast=fast), FirmwareSpec.of(kind, program, parameters or ())
@@ -51,11 +46,7 @@ def load_trial(
 
 
 def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) -> int:
-    """Fly a scenario, show and write its result, and return the exit code.
-
-    Raises:
-        ConfigError: something the user can correct.
-    """
+    """Fly a scenario, show and write its result, and return the exit code."""
     prepare_opencv()
     settings = output.shown(sitl_settings(config_path, trial, fast=fast))
     must_fly(settings, f"--sitl: {config_path}")

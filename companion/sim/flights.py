@@ -29,7 +29,7 @@ from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.firmware.spec import FirmwareSpec
 
-HELP: Final = "Fly what is asked for on standard input, one JSON line a flight (a campaign's worker)."
+FLIGHTS_HELP: Final = "Fly what is asked for on standard input, one JSON line a flight (a campaign's worker)."
 
 
 class _Line(BaseModel):

@@ -134,7 +134,6 @@ class SimulatorProcess:
         await self._process.wait()
 
     async def _listen(self, timeout_s: float) -> dict[str, Any]:
-        """Its next line."""
         assert self._process.stdout is not None
         try:
             line = await asyncio.wait_for(self._process.stdout.readline(), timeout_s)

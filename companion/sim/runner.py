@@ -92,11 +92,7 @@ async def _virtual_flight(
 ) -> SitlFlight:
     app_end, vehicle_end = memory_pair()
     vehicle = InProcess(
-        trial.scenario,
-        trial.seed,
-        link=vehicle_end,
-        gps_baud=config.sense.gps.baud,
-        firmware=trial.firmware,
+        trial.scenario, trial.seed, link=vehicle_end, gps_baud=config.sense.gps.baud, firmware=trial.firmware
     )
     with closing(vehicle.simulation):
         app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions, on_status)

@@ -25,12 +25,7 @@ SIMULATED_HARDWARE: Final[dict[str, Any]] = {
     "mount": None,
     "sense": {
         "imu": ImuConfig().model_dump(
-            include={
-                "address",
-                "body_from_sensor_deg",
-                "inertial_calibration",
-                "magnetometer_calibration",
-            }
+            include={"address", "body_from_sensor_deg", "inertial_calibration", "magnetometer_calibration"}
         ),
         "gps": GpsConfig().model_dump(include={"antenna_position_body_m"}),
         "autopilot": {"magnetometer_calibration": None},
@@ -51,11 +46,7 @@ _MAY_ARM: Final[dict[str, Any]] = {"plan": {"mission": {"may_arm": True}}}
 
 
 def sitl_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionConfig:
-    """The app's settings for a trial: the file, and over it what the scenario's operator knows.
-
-    Raises:
-        ConfigError: the file or the scenario's overrides are wrong, or the two do not go together.
-    """
+    """The app's settings for a trial: the file, and over it what the scenario's operator knows."""
     link: dict[str, Any] = {"link": {"system_id": 1, "set_parameters": True}}
     if trial.external is not None:
         link = {}  # somebody's own autopilot has the number that their settings give
@@ -89,9 +80,6 @@ def vehicle_differs(config: CompanionConfig, trial: Trial) -> str | None:
     None as well where there is no such airframe: the simulator says that.
 
     Errors of the file may be what a flight is to show, so this is reported and not refused.
-
-    Raises:
-        ConfigError: one of the files is wrong.
     """
     ours = load_model(VehicleConfig, find_file("vehicles", config.vehicle)).model_dump()
     try:

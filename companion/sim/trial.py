@@ -29,11 +29,7 @@ class External:
 
     @classmethod
     def of(cls, options: Mapping[str, str | None], *, fast: bool) -> External | None:
-        """What --autopilot, --connect and --connect-world say; None for the bundled autopilot.
-
-        Raises:
-            ConfigError: they do not go together.
-        """
+        """What --autopilot, --connect and --connect-world say; None for the bundled autopilot."""
         autopilot, connect = options["--autopilot"], options["--connect"]
         if autopilot is None:
             for name in ("--connect", "--connect-world"):
@@ -73,12 +69,7 @@ class Trial:
     def load(
         cls, name: str, seed: int, external: External | None = None, firmware: FirmwareSpec | None = None
     ) -> Trial:
-        """Take a scenario by name or path; a firmware flies as itself, whatever the scenario says.
-
-        Raises:
-            ConfigError: no such scenario, its file breaks a rule, or somebody else's vehicle is to fly by a
-                firmware of ours.
-        """
+        """Take a scenario by name or path; a firmware flies as itself, whatever the scenario says."""
         if external is not None and firmware is not None:
             raise ConfigError("--firmware: expected to be left out with --autopilot external")
         path = find_file("scenarios", name)

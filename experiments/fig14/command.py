@@ -9,7 +9,9 @@ from companion.base.errors import ConfigError
 from companion.base.files import must_be_writable
 from experiments.fig14 import CASE_NAMES
 
-HELP: Final = "MPC, the paper's recursion and PID on one minimum-jerk reference to a moving pad (Fig. 14)."
+FIG14_HELP: Final = (
+    "MPC, the paper's recursion and PID on one minimum-jerk reference to a moving pad (Fig. 14)."
+)
 
 
 def fig14(

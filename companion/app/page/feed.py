@@ -12,15 +12,7 @@ from pydantic import BaseModel
 
 from companion.app.page.look import Look, TrackPoint
 from companion.base.geometry import add, scale
-from companion.base.messages import (
-    Frame,
-    FrameReport,
-    PadSighting,
-    PadState,
-    Phase,
-    PlanStep,
-    VehicleState,
-)
+from companion.base.messages import Frame, FrameReport, PadSighting, PadState, Phase, PlanStep, VehicleState
 from companion.config import CompanionConfig, VehicleConfig
 from companion.flightlog.foxglove.scene import time_to_touchdown_s
 from companion.flightlog.meter import Meter

@@ -113,20 +113,20 @@ def say(line: dict[str, Any]) -> None:
 
 async def _serve(pipe: Connection, start: Start) -> None:
     """Listen, and show what comes until nothing comes any more."""
-    server = PageServer(start, say)
+    server, access = PageServer(start, say), start.access
     runner = web.AppRunner(
         server.application(), access_log=None, handle_signals=False, keepalive_timeout=KEEP_ALIVE_S
     )
     await runner.setup()
     loop = asyncio.get_running_loop()
     try:
-        host = "127.0.0.1" if start.host == LOCALHOST else start.host
-        listening = await loop.create_server(lambda: _protocol(runner, server), host, start.port)
+        host = "127.0.0.1" if access.host == LOCALHOST else access.host
+        listening = await loop.create_server(lambda: _protocol(runner, server), host, access.port)
     except OSError as error:
-        say({"problem": f"cannot listen on {start.host}:{start.port}: {os.strerror(error.errno or 0)}"})
+        say({"problem": f"cannot listen on {access.host}:{access.port}: {os.strerror(error.errno or 0)}"})
         return
     port = listening.sockets[0].getsockname()[1]
-    say({"listening": url_of(start.host, port)})
+    say({"listening": url_of(access.host, port)})
     ended = asyncio.Event()
     threading.Thread(target=_read, args=(pipe, Painter(start), server, loop, ended), daemon=True).start()
     await ended.wait()

@@ -44,11 +44,7 @@ class LivePage:
     """Make it before the app, so that the log's tap hears the settings; `served` runs it beside the app."""
 
     def __init__(self, config: CompanionConfig, log: FlightLog) -> None:
-        """Without `serve.address` it does nothing.
-
-        Raises:
-            ConfigError: a token is missing or wrong.
-        """
+        """Without `serve.address` it does nothing."""
         self._config, self._log, self._clock = config.serve, log, Clock()
         self._access = read_access(config.serve)
         self._start_s = self._clock.now_s()
@@ -94,14 +90,9 @@ class LivePage:
         assert isinstance(camera, CameraConfig)
         assert isinstance(vehicle, VehicleConfig)
         assert isinstance(pad, Pad)
-        config = self._config
         return Start(
-            host=access.host,
-            port=access.port,
-            token=access.token,
-            allow_commands=config.allow_commands,
-            host_names=config.host_names,
-            most_viewers=config.most_viewers,
+            access=access,
+            serve=self._config,
             camera=camera,
             vehicle=vehicle,
             pad=pad,

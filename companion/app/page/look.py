@@ -1,12 +1,13 @@
 """What goes from the app's process to the page's."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from companion.app.page.access import Access
 from companion.base.geometry import Quaternion, Vector3
 from companion.base.messages import Frame, PadSighting
-from companion.config import CameraConfig, VehicleConfig
+from companion.config import CameraConfig, ServeConfig, VehicleConfig
 from companion.pad import Pad
 
 
@@ -17,12 +18,8 @@ class Start:
     `start_unix_s` is seconds since 1970 at loop time 0, `start_s` the app's start in loop time.
     """
 
-    host: str
-    port: int
-    token: str | None = field(repr=False)
-    allow_commands: bool
-    host_names: tuple[str, ...]
-    most_viewers: int
+    access: Access
+    serve: ServeConfig
     camera: CameraConfig
     vehicle: VehicleConfig
     pad: Pad

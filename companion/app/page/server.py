@@ -30,8 +30,6 @@ MEGABYTE: Final = 1e6
 
 
 def add_file_routes(app: web.Application, start: Start) -> None:
-    """`/flights`, `/flights/NAME` and `/settings`."""
-
     async def flights(request: web.Request) -> web.Response:
         _let_in(request, start)
         return web.json_response(await asyncio.to_thread(listed, start.flights))
@@ -54,21 +52,14 @@ def add_file_routes(app: web.Application, start: Start) -> None:
         return web.Response(text=start.settings_text)
 
     app.add_routes(
-        [
-            web.get("/flights", flights),
-            web.get("/flights/{name}", flight),
-            web.get("/settings", settings),
-        ]
+        [web.get("/flights", flights), web.get("/flights/{name}", flight), web.get("/settings", settings)]
     )
 
 
 def listed(root: Path | None) -> list[dict[str, Any]]:
     """The flights, newest first, with their sizes."""
     return [
-        {
-            "name": folder.name,
-            "megabytes": size_bytes(folder) / MEGABYTE,
-        }
+        {"name": folder.name, "megabytes": size_bytes(folder) / MEGABYTE}
         for folder in reversed(_folders(root))
     ]
 
@@ -91,7 +82,7 @@ def _let_in(request: web.Request, start: Start) -> None:
         HTTPForbidden: it is not.
     """
     kind, _, given = request.headers.get("Authorization", "").partition(" ")
-    if start.token is not None and not (kind == "Bearer" and same_token(given, start.token)):
+    if (token := start.access.token) is not None and not (kind == "Bearer" and same_token(given, token)):
         raise web.HTTPForbidden(text="needs the token\n")
 
 
@@ -132,7 +123,6 @@ class Viewer:
         self._changed.set()
 
     def reply(self, text: str) -> None:
-        """An answer to this viewer's order."""
         self._replies.append(text)
         self._changed.set()
 
@@ -212,7 +202,7 @@ class PageServer:
 
     def __init__(self, start: Start, say: Say) -> None:
         self._start, self._say, self._clock = start, say, Clock()
-        self._names = own_names(start.host_names)
+        self._names = own_names(start.serve.host_names)
         self._viewers: set[Viewer] = set()
         self._admitted: set[web.RequestHandler] = set()  # the viewers' connections
         self._orders: dict[int, Viewer] = {}
@@ -244,12 +234,10 @@ class PageServer:
     # ------------------------------------------------------------ what the app's process sends
 
     def picture(self, number: int, data: bytes) -> None:
-        """For everybody."""
         for viewer in self._viewers:
             viewer.offer_picture(number, data)
 
     def text(self, text: Text) -> None:
-        """For everybody."""
         for viewer in self._viewers:
             viewer.offer(text.kind, text.json)
 
@@ -295,7 +283,7 @@ class PageServer:
         await socket.prepare(request)
         if not await self._shows_token(socket):
             await socket.close(code=WRONG_TOKEN, message=b"wrong token")
-        elif len(self._viewers) >= self._start.most_viewers:
+        elif len(self._viewers) >= self._start.serve.most_viewers:
             await socket.close(code=TOO_MANY, message=b"too many viewers")
         else:
             self._admitted.add(request.protocol)
@@ -307,7 +295,7 @@ class PageServer:
 
     async def _shows_token(self, socket: web.WebSocketResponse) -> bool:
         """Whether its first message is the token, where there is one."""
-        token = self._start.token
+        token = self._start.access.token
         if token is None:
             return True
         with suppress(TimeoutError, TypeError, ValueError, RecursionError):
@@ -320,7 +308,7 @@ class PageServer:
 
     async def _show(self, socket: web.WebSocketResponse) -> None:
         viewer = Viewer(socket, self._clock)
-        viewer.offer("hello", json.dumps({"kind": "hello", "commands": self._start.allow_commands}))
+        viewer.offer("hello", json.dumps({"kind": "hello", "commands": self._start.serve.allow_commands}))
         self._viewers.add(viewer)
         self._say({"viewers": len(self._viewers)})
         sending = asyncio.create_task(self._send(viewer, socket))

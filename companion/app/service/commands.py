@@ -58,11 +58,6 @@ def status_command(
     as_json: Annotated[bool, typer.Option("--json", help="As one line of JSON.")] = False,
     path: SocketOption = None,
 ) -> None:
-    """`companion status`.
-
-    Raises:
-        ConfigError: no service answers.
-    """
     console = Console()
     if watch:
         _watch(path, console, as_json=as_json)
@@ -101,11 +96,6 @@ def order_command(
     wait: Annotated[bool, typer.Option("--wait", help="Until it is carried out, or failed.")] = False,
     path: SocketOption = None,
 ) -> None:
-    """`companion order`.
-
-    Raises:
-        ConfigError: no service answers.
-    """
     with _connected(path) as ask:
         answer = ask({"request": "order", "kind": kind.value})
         _say(kind, answer)
@@ -129,11 +119,6 @@ class _Asking:
         self._lines = connection.makefile("rb")
 
     def __call__(self, request: dict[str, Any] | None) -> dict[str, Any]:
-        """The answer.
-
-        Raises:
-            ConfigError: the service has gone, does not answer, or it is not the service.
-        """
         try:
             # how an order ends takes as long as the landing
             self._connection.settimeout(None if request is None else ANSWER_S)
@@ -183,11 +168,6 @@ def _no_answer(where: Path, error: OSError, *, chosen: bool) -> str:
 
 
 def _table(report: dict[str, Any]) -> Table:
-    """The report as text.
-
-    Raises:
-        ConfigError: it is another version's.
-    """
     try:
         rows = list(_rows(report))
     except (KeyError, TypeError) as error:
@@ -223,10 +203,7 @@ def _rows(r: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
     if waiting := [e["quantity"] for e in r["sources"] if e["state"] == SourceState.NOT_MEASURED]:
         yield "not measured yet", Text(", ".join(waiting), style="dim")
     for name, latency in r["latency"].items():
-        yield (
-            f"exposure to {name}",
-            f"p50 {latency['p50_ms']:.0f} ms, p99 {latency['p99_ms']:.0f} ms",
-        )
+        yield (f"exposure to {name}", f"p50 {latency['p50_ms']:.0f} ms, p99 {latency['p99_ms']:.0f} ms")
     yield "late cycles", f"{r['late_cycles_percent']:.1f} %"
     yield "machine", _machine(r["machine"])
     yield "recording", r["recording"] or "-"

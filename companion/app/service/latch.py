@@ -174,7 +174,7 @@ def unattended() -> bool:
 
 # ---------------------------------------------------------------- companion permit
 
-HELP: Final = """Let the next start of the app fly.
+PERMIT_HELP: Final = """Let the next start of the app fly.
 
 After a crash, a kill or a power cut, and whenever it is not started at a terminal, the app stays in standby
 until this was said. It holds for one start, for an hour, and until the computer starts anew.
@@ -187,11 +187,6 @@ def permit_command(
         typer.Option("--record", help="The folder that the app records to, if it does.", metavar="DIR"),
     ] = None,
 ) -> None:
-    """Write the permission, and say what stood there.
-
-    Raises:
-        ConfigError: the folder cannot be written to.
-    """
     latch = FlightLatch(record or state_folder())
     state, words = latch.read()
     latch.permit()

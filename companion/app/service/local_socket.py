@@ -71,28 +71,14 @@ async def served(
     try:
         await _make_room(path)
         server = await asyncio.start_unix_server(serve, path, limit=LONGEST_REQUEST)
-        _admit(path)
+        path.chmod(MODE)  # noqa: ASYNC240 - a moment, at the start
     except OSError as error:
         raise ConfigError(f"local socket {path}: {error.strerror or error}") from error
     try:
         yield
     finally:
         server.close()
-        _remove(path)
-
-
-def _own_folder(folder: Path) -> None:
-    folder.mkdir(mode=0o750, parents=True, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():
-        raise ConfigError(f"local socket: {folder} belongs to another user; expected one's own folder")
-
-
-def _admit(path: Path) -> None:
-    path.chmod(MODE)
-
-
-def _remove(path: Path) -> None:
-    path.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)  # noqa: ASYNC240
 
 
 async def _make_room(path: Path) -> None:
@@ -102,11 +88,14 @@ async def _make_room(path: Path) -> None:
         ConfigError: another service listens there, or the folder is somebody else's.
         OSError: it cannot be made.
     """
-    _own_folder(path.parent)
+    folder = path.parent
+    folder.mkdir(mode=0o750, parents=True, exist_ok=True)
+    if folder.stat().st_uid != os.getuid():
+        raise ConfigError(f"local socket: {folder} belongs to another user; expected one's own folder")
     try:
         _, writer = await asyncio.open_unix_connection(path)
     except OSError:
-        _remove(path)
+        path.unlink(missing_ok=True)  # noqa: ASYNC240
         return
     writer.close()
     raise ConfigError(f"local socket {path}: another companion listens there; expected it to be stopped")
@@ -119,7 +108,6 @@ async def _serve(
     give: Give,
     clock: Clock,
 ) -> None:
-    """Answer one client's requests until it goes."""
     while line := await reader.readline():
         try:
             request = json.loads(line)

@@ -203,7 +203,6 @@ class StateReport(_Model):
 
     @property
     def words(self) -> str:
-        """In one line, for a ground station."""
         if self.order is not None:
             head = f"{self.phase.replace('_', ' ')}, {self.order}"
         elif self.vision_only:

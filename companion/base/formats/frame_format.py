@@ -50,7 +50,6 @@ class FrameHeader:
 
     @property
     def size(self) -> int:
-        """Bytes of the image."""
         return self.width_px * self.height_px * self.channels
 
 

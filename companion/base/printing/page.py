@@ -129,7 +129,6 @@ def save(pages: Sequence[Page], path: Path) -> list[Path]:
 
 
 def png_dpi(size_mm: tuple[float, float]) -> int:
-    """Dots an inch of a page's PNG."""
     return min(PNG_DPI, int(LARGEST_PNG_PX / (max(size_mm) / MM_PER_INCH)))
 
 

@@ -25,7 +25,6 @@ LINE_LOOP: Final = 2
 
 
 def image(frame: Frame, exposure_unix_ns: int) -> WellKnown:
-    """A frame as JPEG, stamped with its exposure."""
     _, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     message = {
         "timestamp": stamp(exposure_unix_ns),
@@ -37,7 +36,6 @@ def image(frame: Frame, exposure_unix_ns: int) -> WellKnown:
 
 
 def calibration(unix_ns: int, camera: CameraConfig) -> WellKnown:
-    """The camera's model; without rectification."""
     fx, fy, cx, cy = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
     message = {
         "timestamp": stamp(unix_ns),
@@ -90,11 +88,7 @@ class CameraAnnotations:
                 }
             )
             if marker_id is not None:
-                label = {
-                    "timestamp": stamp(exposure_unix_ns),
-                    "position": points[0],
-                    "text": str(marker_id),
-                }
+                label = {"timestamp": stamp(exposure_unix_ns), "position": points[0], "text": str(marker_id)}
                 drawn.message["texts"].append({**label, "font_size": TEXT_PX, "text_color": tint})
         return drawn
 

@@ -48,7 +48,6 @@ def pose(position: Sequence[float] = ZERO3, orientation: Quaternion = IDENTITY) 
 
 
 def colour(red: float, green: float, blue: float, alpha: float = 1.0) -> Plain:
-    """A colour, 0 to 1."""
     return {"r": red, "g": green, "b": blue, "a": alpha}
 
 

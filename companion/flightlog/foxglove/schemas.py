@@ -14,7 +14,6 @@ BOOLEAN: Final[Schema] = {"type": "boolean"}
 
 
 def record(title: str, **properties: Schema) -> Schema:
-    """An object with these properties."""
     return {"type": "object", "title": title, "properties": properties}
 
 

@@ -76,7 +76,6 @@ class Translator:
             self._overlay = camera.CameraAnnotations(self._camera, self._vehicle, self._pad)
 
     def frame(self, frame: Frame, exposure_unix_ns: int) -> Iterator[WellKnown]:
-        """A camera frame that is logged."""
         self._exposures_ns[frame.sequence] = exposure_unix_ns
         while len(self._exposures_ns) > OPEN_FRAMES:
             self._exposures_ns.popitem(last=False)

@@ -53,11 +53,6 @@ RANGE_GOOD: Final = 4
 
 
 def read_dataflash(path: Path) -> FlightRecord:
-    """Read an ArduPilot log.
-
-    Raises:
-        ConfigError: the file is no DataFlash log.
-    """
     words = io.StringIO()
     with contextlib.redirect_stderr(words):
         try:

@@ -8,28 +8,34 @@ from typing import Final
 from rich.console import Console
 from rich.progress import Progress
 
-from companion.base.files import make_folder, write_atomically
+from companion.base.command_line import say
+from companion.base.files import cannot_read, make_folder, write_atomically
+from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
-from companion.flightlog.log_file import LOG_NAMES, log_file
+from companion.flightlog.log_file import MAGIC, log_file, log_name
 from companion.flightlog.replay.compare import ReplayResult, build_result
+from companion.flightlog.replay.dataflash import read_dataflash
 from companion.flightlog.replay.flight_record import FlightRecord
+from companion.flightlog.replay.mcap_log import read_mcap
 from companion.flightlog.replay.plausible import shortcomings, why_unaligned
 from companion.flightlog.replay.plots import replay_lines, replay_table, write_page
-from companion.flightlog.replay.reading import read_log
 from companion.flightlog.replay.run import Replayed, replay
 from companion.flightlog.replay.settings import Choice, choose
+from companion.flightlog.replay.ulog import read_ulog
 from companion.flightlog.version import versions
 
 RESULT_NAME: Final = "replay.json"
 PAGE_NAME: Final = "replay.html"
+# by a log's first bytes, whatever it is called
+READERS: Final[dict[bytes, Callable[[Path], FlightRecord]]] = {
+    MAGIC: read_mcap,
+    b"\xa3\x95": read_dataflash,
+    b"ULog\x01\x12\x35": read_ulog,
+}
+EXPECTED: Final = "a flight's folder, a flight.mcap, an ArduPilot .bin or a PX4 .ulg"
 
 
 def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None:
-    """Read, replay, compare and show.
-
-    Raises:
-        ConfigError: something the user can correct.
-    """
     console = Console()
     record = read_log(log)
     choice = choose(record, config)
@@ -38,11 +44,29 @@ def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None
         replayed = replay(record.events, choice.rig, report)
     result = _result(log, record, replayed, choice)
     console.print(replay_table(result))  # first: the disk may be full
-    for line in replay_lines(result):
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    say(console, *replay_lines(result))
     write_atomically(folder / RESULT_NAME, result.model_dump_json(indent=2) + "\n")
     write_page(folder / PAGE_NAME, result, record, replayed)
-    console.print(f"{RESULT_NAME} and {PAGE_NAME} in {folder}", highlight=False, soft_wrap=True, markup=False)
+    say(console, f"{RESULT_NAME} and {PAGE_NAME} in {folder}")
+
+
+def read_log(path: Path) -> FlightRecord:
+    """Read a log of ours, of ArduPilot's or of PX4's."""
+    path = log_file(path)
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(max(map(len, READERS)))
+        reader = next((read for magic, read in READERS.items() if start.startswith(magic)), None)
+        if reader is None:
+            raise ConfigError(f"{path}: not a flight log; expected {EXPECTED}")
+        record = reader(path)
+    except OSError as error:
+        raise cannot_read(path, error, expected=EXPECTED) from error
+    cut = f" ({record.cut})" if record.cut else ""
+    for kind, name in ((ImuSample, "IMU"), (MagSample, "magnetometer")):
+        if not any(isinstance(event.item, kind) for event in record.events):
+            raise ConfigError(f"{path}: no {name} samples in the log{cut}; the estimators need both")
+    return record
 
 
 def _result(log: Path, record: FlightRecord, replayed: Replayed, choice: Choice) -> ReplayResult:
@@ -61,12 +85,6 @@ def _result(log: Path, record: FlightRecord, replayed: Replayed, choice: Choice)
             flown = ", ".join(f"{name} {version}" for name, version in other.items())
             return result.model_copy(update={"notes": (*result.notes, f"it was flown with {flown}")})
     return result
-
-
-def log_name(log: Path) -> str:
-    """What to call a log: its file's name, or its folder's where all files are called alike."""
-    file = log_file(log.resolve())
-    return file.parent.name if file.name == LOG_NAMES[0] else file.stem
 
 
 @contextmanager

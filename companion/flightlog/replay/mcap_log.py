@@ -52,11 +52,7 @@ Settings = TypeVar("Settings", bound=BaseModel)
 
 
 def read_mcap(path: Path) -> FlightRecord:
-    """Read a flight of ours.
-
-    Raises:
-        ConfigError: the file cannot be read, or a message in it is not one of ours.
-    """
+    """Read a flight of ours."""
     reading = _Reading(reader := LogReader(path))
     for topic, message in reader.messages():
         reading.take(topic, message)
@@ -145,10 +141,7 @@ def _states_reference(states: list[VehicleState | PadState]) -> RecordedReferenc
     vehicles = [state for state in states if isinstance(state, VehicleState)]
     pads = [state for state in states if isinstance(state, PadState)]
     origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
-    return RecordedReference(
-        tracks_of_states(vehicles, pads),
-        origins[-1] if origins else None,
-    )
+    return RecordedReference(tracks_of_states(vehicles, pads), origins[-1] if origins else None)
 
 
 def _truth_reference(truth: list[Truth]) -> RecordedReference:

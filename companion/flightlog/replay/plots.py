@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 from rich.table import Table
 
 from companion.base.files import write_atomically
@@ -19,22 +18,17 @@ from companion.base.geometry import FloatArray, euler_from_quat
 from companion.base.units import without_unit
 from companion.flightlog.errors import RecordedTrack
 from companion.flightlog.replay.compare import Comparison, Repetition, ReplayResult, tracks_of
-from companion.flightlog.replay.flight_record import (
-    FlightRecord,
-    Source,
-    TrackName,
-)
+from companion.flightlog.replay.flight_record import FlightRecord, Source, TrackName
 from companion.flightlog.replay.run import Replayed
 from companion.flightlog.report.figures import (
     AXES,
     AXIS_COLOURS,
     ESTIMATE_COLOUR,
-    HEIGHT_PX,
     VEHICLE_COLOUR,
     add_dots,
     add_line,
-    label_rows,
     plain,
+    stacked,
 )
 from companion.flightlog.report.page import OTHER_COLOUR, html_page, plot_html, table_html
 
@@ -117,11 +111,7 @@ class _Drawing:
 
 
 def write_page(path: Path, result: ReplayResult, record: FlightRecord, replayed: Replayed) -> None:
-    """Write the table, what else there is to say, and the plots as one page.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Write the table, what else there is to say, and the plots as one page."""
     comparisons = {source: Comparison(replayed, ref) for source, ref in record.references.items()}
     drawing = _Drawing(replayed, comparisons, tracks_of(replayed), record.events[0].item.time_s)
     lines = [line.partition(": ")[::2] for line in replay_lines(result)]
@@ -138,7 +128,6 @@ def write_page(path: Path, result: ReplayResult, record: FlightRecord, replayed:
 
 
 def figures(drawing: _Drawing) -> dict[str, tuple[str, go.Figure]]:
-    """Titles and plots by the name of their place on the page."""
     shape = any(comparison.position_is_shape for comparison in drawing.comparisons.values())
     aside = "; the error is without its mean" if shape else ""
     found = {
@@ -155,14 +144,9 @@ def figures(drawing: _Drawing) -> dict[str, tuple[str, go.Figure]]:
     return found
 
 
-def _rows(count: int) -> go.Figure:
-    figure = make_subplots(rows=count, cols=1, shared_xaxes=True, vertical_spacing=0.04)
-    return plain(figure.update_layout(height=int(0.6 * (count + 1) * HEIGHT_PX)))
-
-
 def _attitude(drawing: _Drawing) -> go.Figure:
     """Roll, pitch and heading of all, and the errors' inclination and heading."""
-    figure = _rows(4)
+    figure = plain(stacked("roll (°)", "pitch (°)", "heading (°)", "error (°)"))
     for label, colour, track in drawing.tracks("attitude"):
         angles = np.degrees([euler_from_quat(tuple(q)) for q in track.values.tolist()])
         for row, column in enumerate(angles.T, start=1):
@@ -172,13 +156,12 @@ def _attitude(drawing: _Drawing) -> go.Figure:
         times, errors = comparison.attitude_deg()
         for column, name, colour in ((1, "inclination", COLOURS[source]), (2, "heading", AXIS_COLOURS[1])):
             add_line(figure, drawing.seconds(times), errors[:, column], colour, f"{name}, {source}", 4)
-    label_rows(figure, "roll (°)", "pitch (°)", "heading (°)", "error (°)")
     return figure
 
 
 def _vector(drawing: _Drawing, name: TrackName, unit: str) -> go.Figure:
     """North, east and down of all, and the size of the differences."""
-    figure = _rows(4)
+    figure = plain(stacked(*(f"{axis} ({unit})" for axis in AXES), f"error ({unit})"))
     for label, colour, track in drawing.tracks(name):
         for row, column in enumerate(track.values.T, start=1):
             add_line(figure, drawing.seconds(track.time_s), column, colour, label, row, legend=row == 1)
@@ -186,31 +169,28 @@ def _vector(drawing: _Drawing, name: TrackName, unit: str) -> go.Figure:
         times, difference = comparison.vector(name)
         lengths = np.linalg.norm(difference, axis=1)
         add_line(figure, drawing.seconds(times), lengths, COLOURS[source], f"to {source}", 4)
-    label_rows(figure, *(f"{axis} ({unit})" for axis in AXES), f"error ({unit})")
     return figure
 
 
 def _biases(drawing: _Drawing) -> go.Figure:
     """What the EKF makes of gyroscope and accelerometer."""
-    figure, vehicles = _rows(2), drawing.replayed.vehicles
+    figure = plain(stacked("gyroscope (°/s)", "accelerometer (m/s²)"))
+    vehicles = drawing.replayed.vehicles
     times = drawing.seconds(np.array([v.time_s for v in vehicles]))
     gyro = np.degrees([v.gyro_bias_rad_s for v in vehicles])
     accel = np.array([v.accel_bias_m_s2 for v in vehicles])
     for k, (axis, colour) in enumerate(zip(("forward", "right", "down"), AXIS_COLOURS, strict=True)):
         add_line(figure, times, gyro[:, k], colour, axis, 1)
         add_line(figure, times, accel[:, k], colour, axis, 2, legend=False)
-    label_rows(figure, "gyroscope (°/s)", "accelerometer (m/s²)")
     return figure
 
 
 def _refused(drawing: _Drawing) -> go.Figure:
-    """How many measurements have been refused so far, by kind."""
-    figure = _rows(1)
+    figure = plain(stacked("refused so far"))
     times = drawing.seconds(np.array([time_s for time_s, _ in drawing.replayed.refused]))
     counts = [refused for _, refused in drawing.replayed.refused]
     for kind in sorted(kind for kind, count in counts[-1].items() if count):
         figure.add_scatter(
             x=times, y=[refused.get(kind, 0) for refused in counts], line_shape="hv", name=kind
         )
-    label_rows(figure, "refused so far")
     return figure

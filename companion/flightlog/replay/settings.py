@@ -35,11 +35,7 @@ class Choice:
 
 
 def choose(record: FlightRecord, config_path: Path | None) -> Choice:
-    """The settings for a log; a file given goes before what the log holds.
-
-    Raises:
-        ConfigError: the file, or one that it names, is missing or wrong.
-    """
+    """The settings for a log; a file given goes before what the log holds."""
     if record.kind == "companion" and record.rig is not None and config_path is None:
         return Choice(record.rig, _field(record, record.rig.config), "the flight's own", repeats=True)
     path = config_path or DEFAULT_SETTINGS

@@ -44,11 +44,6 @@ Columns = Mapping[str, Any]
 
 
 def read_ulog(path: Path) -> FlightRecord:
-    """Read a PX4 log.
-
-    Raises:
-        ConfigError: the file is no ULog.
-    """
     with contextlib.redirect_stdout(io.StringIO()):
         try:
             log = ULog(str(path))
@@ -88,7 +83,6 @@ class _Reading:
     # ------------------------------------------------------------ sensors
 
     def events(self) -> list[RecordedEvent]:
-        """All samples in order of arrival."""
         events = [*self._imu(), *self._mag(), *self._gps(), *self._range()]
         # a stable sort: of what came at one time the IMU is first
         return sorted(events, key=lambda event: event.arrival_s)

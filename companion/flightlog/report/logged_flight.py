@@ -27,7 +27,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import ConfigError
-from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, LogReader
+from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, LogReader, log_name
 from companion.flightlog.replay.mcap_log import SAMPLES
 from companion.flightlog.result import Result, from_start
 from companion.flightlog.summary import ending
@@ -71,7 +71,7 @@ class SensorRecord:
 class LoggedFlight:
     """A flight as read from its folder; `result` is None for a flight without truth."""
 
-    folder: Path
+    name: str
     start_unix_s: float
     kept: dict[str, list[Any]]
     truth: list[Truth]
@@ -96,15 +96,11 @@ class LoggedFlight:
         """What was flown and how it ended, in one line."""
         if self.result is not None:
             return f"{self.result.scenario}, seed {self.result.seed}: {self.outcome}"
-        return f"{self.folder.resolve().name}: {self.outcome}"
+        return f"{self.name}: {self.outcome}"
 
 
 def read_flight(path: Path) -> LoggedFlight:
-    """Read a flight's folder, or its flight.mcap; a log cut short as far as it goes.
-
-    Raises:
-        ConfigError: there is none, it cannot be read, or a message is not one of ours.
-    """
+    """Read a flight's folder, or its flight.mcap; a log cut short as far as it goes."""
     reading = _Reading(reader := LogReader(path))
     for topic, message in reader.messages():
         reading.take(topic, message)
@@ -186,7 +182,7 @@ class _Reading:
             sensor.age_s = [age_s - self._start_unix_s for age_s in sensor.age_s]
         settings = self._reader.metadata.get(SETTINGS_RECORD, {})
         return LoggedFlight(
-            folder=self._reader.path.parent,
+            name=log_name(self._reader.path),
             start_unix_s=unix_s,
             kept=kept,
             truth=truth,

@@ -20,13 +20,9 @@ from companion.flightlog.report.logged_flight import LoggedFlight, SensorRecord
 from companion.flightlog.report.tables import flight_texts, result_rows
 from companion.flightlog.result import latency, phase_times
 
-PAGE_NAME: Final = "report.html"
 TEMPLATE: Final = Path(__file__).with_name("page.html")
 PLOT_OPTIONS: Final = {"responsive": True, "displaylogo": False, "scrollZoom": False}
-VERDICT_COLOURS: Final = {
-    Outcome.LANDED.value: "#1e8449",
-    Outcome.CRASHED.value: "#922b21",
-}
+VERDICT_COLOURS: Final = {Outcome.LANDED.value: "#1e8449", Outcome.CRASHED.value: "#922b21"}
 OTHER_COLOUR: Final = "#b9770e"
 # plotly's camera sees as much in height on every screen: on a narrow one it steps back, else sides are cut
 FIT_PATH: Final = """
@@ -53,11 +49,7 @@ SENSOR_NAMES: Final = {
 
 
 def write_page(flight: LoggedFlight, path: Path, bounds: Mapping[str, float] | None = None) -> None:
-    """Write the page; `bounds`: what passes, by the touchdown's keys.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Write the page; `bounds`: what passes, by the touchdown's keys."""
     write_atomically(path, page(flight, bounds or {}))
 
 

@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from companion.base.clock import wall_clock_s
+from companion.base.command_line import say
 from companion.base.files import make_folder, write_atomically
 from companion.base.geometry import FloatArray, matrix_from_quat
 from companion.base.messages import Frame, PadSighting
@@ -62,7 +64,6 @@ class PadView:
 
     @property
     def distance_m(self) -> float:
-        """From the camera to the pad's centre."""
         return float(np.linalg.norm(self.position_m))
 
     @property
@@ -238,11 +239,7 @@ class Tally:
 
 
 def find_with(config: Path, pad: str | None, camera: str | None) -> PadFinder:
-    """Vision for this pad and camera; what is None is as in the settings.
-
-    Raises:
-        ConfigError: a file cannot be read, or is wrong.
-    """
+    """Vision for this pad and camera; what is None is as in the settings."""
     prepare_opencv()
     settings = load_config(config)
     calibrated = load_model(CameraConfig, find_file("cameras", camera or settings.camera))
@@ -258,18 +255,12 @@ def detect_all(
     """Look at all pictures, print what they show, write the overlays; whether any shows the pad.
 
     `send` is given what each picture with the pad shows.
-
-    Raises:
-        ConfigError: no picture can be read, none is of the calibrated size, or an overlay cannot be written.
     """
     console, tally = Console(), Tally()
     overlays = None if out is None else Overlays(out)
 
-    def say(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True, markup=False)
-
     try:
-        for photo in read_photos(photo_paths(sources), say):
+        for photo in read_photos(photo_paths(sources), partial(say, console)):
             if photo.size_px != finder.lens.size_px:
                 tally.other_sizes[photo.size_px] += 1
                 continue
@@ -282,7 +273,7 @@ def detect_all(
             if send is not None and found.sighting is not None:
                 send(found.sighting, finder.pad)
             words = line(found)
-            say(f"{photo.name}: {words}, {1e3 * took_s:.0f} ms")
+            say(console, f"{photo.name}: {words}, {1e3 * took_s:.0f} ms")
             if overlays is not None:
                 overlays.write(photo, draw(photo.image, found, finder.pad, finder.lens, words))
     finally:
@@ -290,13 +281,11 @@ def detect_all(
             overlays.close()
     if not tally.times_s:
         raise ConfigError(f"{sources[0]}: {'; '.join(tally.lines(finder.lens.size_px))}")
-    for text in (*tally.lines(finder.lens.size_px), *(() if overlays is None else overlays.lines())):
-        say(text)
+    say(console, *tally.lines(finder.lens.size_px), *(() if overlays is None else overlays.lines()))
     return bool(tally.distances_m)
 
 
 def line(found: Found) -> str:
-    """What a picture shows, in one line."""
     if found.view is None:
         if not found.markers:
             return "no marker of the pad"
@@ -335,11 +324,6 @@ class Overlays:
         self._written: list[Path] = []
 
     def write(self, photo: Photo, picture: NDArray[np.uint8]) -> None:
-        """Write one picture (height, width, 3).
-
-        Raises:
-            ConfigError: it cannot be written.
-        """
         if photo.frame is None:
             path = self._free(photo.path, ".png")
             write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())

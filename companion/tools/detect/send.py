@@ -32,11 +32,7 @@ class TargetLink:
 
     @contextmanager
     def opened(self) -> Iterator["TargetLink"]:
-        """Open, with an autopilot on it; closed at the end.
-
-        Raises:
-            ConfigError: the link cannot be opened, or no PX4 or ArduPilot is on it.
-        """
+        """Open, with an autopilot on it; closed at the end."""
         thread = Thread(target=self._loop.run_forever, daemon=True, name="target link")
         thread.start()
         try:
@@ -49,11 +45,6 @@ class TargetLink:
             self._loop.close()
 
     def send(self, sighting: PadSighting, pad: Pad) -> None:
-        """Send one, stamped now.
-
-        Raises:
-            ConfigError: PX4 does not tell where it is, or the link was lost.
-        """
         self._do(self._send(sighting, pad))
 
     def _do(self, work: Coroutine[Any, Any, None]) -> None:

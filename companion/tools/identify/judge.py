@@ -60,7 +60,6 @@ class IdentificationLog:
         return self.control.setpoint == "attitude"
 
     def starting_points(self) -> dict[str, IdentifiedResponse]:
-        """The responses that the settings assume."""
         by_velocity = self.control.setpoint == "velocity"
         gains = velocity_gains(self.vehicle, self.control, self.autopilot_kind, sideways=by_velocity)
         tau = lags(self.vehicle, self.control, self.autopilot_kind)
@@ -68,11 +67,7 @@ class IdentificationLog:
 
 
 def read_flight(path: Path) -> IdentificationLog:
-    """Read the topics that show how the vehicle answered.
-
-    Raises:
-        ConfigError: it is not a flight of ours.
-    """
+    """Read the topics that show how the vehicle answered."""
     reader = LogReader(path)
     messages: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
     for topic, message in reader.messages():
@@ -92,11 +87,7 @@ def read_flight(path: Path) -> IdentificationLog:
 
 
 def flown(record: IdentificationLog, path: Path) -> ResponseRecord:
-    """The flight on an even grid at the setpoints' rate.
-
-    Raises:
-        ConfigError: the autopilot never obeyed setpoints in it.
-    """
+    """The flight on an even grid at the setpoints' rate."""
     vehicles, setpoints = record.messages["vehicle"], record.messages["setpoint"]
     obeyed = _obeyed_times(record)
     if len(obeyed) < 2 or len(vehicles) < 2:
@@ -176,7 +167,6 @@ class Judged:
 
     @property
     def offered(self) -> IdentifiedResponse:
-        """What there is reason to fly with."""
         return self.assumed if self.withheld else self.adopted
 
 
@@ -206,7 +196,6 @@ class JudgedHover:
 
     @property
     def offered(self) -> float:
-        """What there is reason to fly with."""
         return self.assumed if self.withheld else self.adopted
 
 
@@ -226,11 +215,7 @@ class Identified:
 def identify(
     record: IdentificationLog, data: ResponseRecord, other: tuple[str, ResponseRecord] | None
 ) -> Identified:
-    """All that a flight shows, held against itself and against another flight (its name and rows).
-
-    Raises:
-        ConfigError: it shows nothing, or the other is too short.
-    """
+    """All that a flight shows, held against itself and against another flight (its name and rows)."""
     delay_s, responses = record.control.command_delay_s, dict[str, Judged | str]()
     for name, axes in DIRECTIONS.items():
         assumed = record.starting_points()[name]

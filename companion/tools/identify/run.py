@@ -6,6 +6,7 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.command_line import say
 from companion.config import ConfigError
 from companion.tools.identify.judge import (
     IdentificationLog,
@@ -24,11 +25,7 @@ GAINS: Final = {"sideways": "autopilot_velocity_gain_1_s", "down": "autopilot_cl
 
 
 def identify_and_show(log: Path, check: Path | None) -> bool:
-    """Identify a flight and print what it shows; whether nothing was withheld.
-
-    Raises:
-        ConfigError: something the user can correct; also when the flight shows nothing at all.
-    """
+    """Identify a flight and print what it shows; whether nothing was withheld."""
     record = read_flight(log)
     other = None
     if check is not None:
@@ -45,8 +42,7 @@ def identify_and_show(log: Path, check: Path | None) -> bool:
         raise ConfigError(f"{log}: {error}") from error
     console = Console()
     console.print(response_table(record, found))
-    for line in (*notes(found), *prediction_lines(found), *settings_lines(record, found)):
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    say(console, *notes(found), *prediction_lines(found), *settings_lines(record, found))
     return found.all_hold
 
 
@@ -98,7 +94,6 @@ def _ms(time_s: float) -> str:
 
 
 def notes(found: Identified) -> list[str]:
-    """Why something was not found."""
     missing = {**found.responses, "hover thrust": found.hover}
     lines = [f"{name}: {why}" for name, why in missing.items() if isinstance(why, str)]
     for name, judged in found.responses.items():
@@ -149,7 +144,6 @@ def settings_lines(record: IdentificationLog, found: Identified) -> list[str]:
 
 
 def _numbers(record: IdentificationLog, found: Identified) -> tuple[dict[str, float], dict[str, float]]:
-    """Settings of the vehicle and of control by their names."""
     vehicle, control = dict[str, float](), dict[str, float]()
     by_velocity = record.control.setpoint == "velocity"
     if not isinstance(found.hover, str) and found.hover.offered != found.hover.assumed:

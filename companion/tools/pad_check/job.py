@@ -50,7 +50,6 @@ def cause_lines(report: Report) -> list[str]:
 
 
 def verdict_line(report: Report) -> str:
-    """All in one line."""
     bad = sum(not finding.passed for finding in report.findings)
     if not bad:
         return (

@@ -10,15 +10,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from companion.base.geometry import (
-    GRAVITY_M_S2,
-    Vector3,
-    cross,
-    dot,
-    norm,
-    scale,
-    subtract,
-)
+from companion.base.geometry import GRAVITY_M_S2, Vector3, cross, dot, norm, scale, subtract
 from companion.tools.pad_check.moves import Move, StandstillMeans, carried_along, down_by_force, down_by_pad
 
 # what may be to blame for a finding

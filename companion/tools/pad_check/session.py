@@ -24,7 +24,7 @@ from companion.app.sensing import Sensing
 from companion.base.clock import Clock
 from companion.base.formats.mjpeg import MjpegServer
 from companion.base.geometry import FloatArray, Vector3, matrix_from_quat
-from companion.base.messages import Frame, PadSighting
+from companion.base.messages import Frame, PadPrior, PadSighting
 from companion.config import (
     CameraConfig,
     CompanionConfig,
@@ -39,9 +39,8 @@ from companion.link.codec import Severity
 from companion.link.session import Session
 from companion.pad import Pad, load_pad
 from companion.sense.camera.keeper import KeptCamera
-from companion.sense.vision.pipeline import Vision
+from companion.sense.vision.pipeline import Vision, VisionResult
 from companion.tools.pad_check.causes import Mounting
-from companion.tools.pad_check.mirror import MirrorWatch
 from companion.tools.pad_check.moves import RecentSamples
 from companion.tools.pad_check.wizard import Report, Say, Wizard
 
@@ -93,6 +92,41 @@ def _arrow(image: Any, vision: Vision, origin: FloatArray, along: Vector3, colou
     cv2.putText(image, name, (x1 + 4, y1 + 4), _FONT, 0.5, colour, 1, cv2.LINE_AA)
 
 
+# ---------------------------------------------------------------- a mirror image
+
+UNSEEN_FRAMES: Final = 12  # so many in a row without the pad before its mirror image is looked for
+# even: with the mirrored look the search's turns then alternate between far and near there, too
+EVERY: Final = 4
+ENOUGH: Final = 4
+
+
+class MirrorWatch:
+    """Vision as in flight. A printed code is no code in a mirror: only a flipped frame shows it then."""
+
+    def __init__(self, vision: Vision) -> None:
+        self._vision = vision
+        self._unseen = self._mirrored = 0
+        self.last: tuple[Frame, VisionResult] | None = None
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the pad has been found in mirrored frames, several times, and in none as it came."""
+        return self._mirrored >= ENOUGH
+
+    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
+        """Look at a frame; see `Vision.step`."""
+        seen = self._vision.step(frame, prior)
+        self.last = (frame, seen)
+        if seen.sighting is not None:
+            self._unseen = self._mirrored = 0
+            return seen
+        self._unseen += 1
+        if self._unseen > UNSEEN_FRAMES and self._unseen % EVERY == 0:
+            flipped = replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1]))
+            self._mirrored += self._vision.step(flipped, None).sighting is not None
+        return seen
+
+
 # ---------------------------------------------------------------- the check's shell
 
 STEP_PERIOD_S: Final = 0.1
@@ -120,9 +154,6 @@ class PadCheck:
 
         `say` and `page` are where the check shows itself. `linked`: an autopilot is there and has to be
         disarmed. `samples`: where they are kept.
-
-        Raises:
-            ConfigError: a settings file named in the configuration is missing or wrong.
         """
         self._config, self._say, self._page, self._linked = config, say, page, linked
         self._clock = Clock()
@@ -152,11 +183,7 @@ class PadCheck:
         self._heard_s = self._clock.now_s()
 
     async def run(self) -> Report:
-        """Check; ends by itself, after at most a minute a step.
-
-        Raises:
-            ConfigError: the autopilot is armed or silent, or a sensor's settings are wrong.
-        """
+        """Check; ends by itself, after at most a minute a step."""
         works = {**self._sensing.tasks(), "camera's figures": self._camera_task}
         if self._page is not None:
             works["picture"] = partial(self._picture_task, self._page)
@@ -261,7 +288,6 @@ class PadCheck:
 
 
 def _mounting(config: CompanionConfig, vehicle: VehicleConfig) -> Mounting:
-    """How the settings say that things sit."""
     boards = config.sense.source == "boards"
     return Mounting(
         vehicle=config.vehicle,

@@ -42,7 +42,6 @@ class Label:
 
 
 def words_of(marker: Marker) -> str:
-    """What is printed beside a marker."""
     return f"{marker.dictionary} {marker.id}  {1e3 * marker.side_m:g} mm"
 
 
@@ -146,23 +145,19 @@ class Tile:
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """Width and height."""
         return 1e3 * (self.across_m[1] - self.across_m[0]), 1e3 * (self.along_m[1] - self.along_m[0])
 
     def on_sheet_mm(self, point_pad_m: tuple[float, float]) -> Point:
-        """Where a point (x, y) of the pad is on the sheet."""
         x, y = point_pad_m
         left, bottom = self.corner_mm
         return left + 1e3 * (y - self.across_m[0]), bottom + 1e3 * (x - self.along_m[0])
 
     def holds(self, point_pad_m: tuple[float, float]) -> bool:
-        """Whether a point (x, y) of the pad is on it."""
         x, y = point_pad_m
         return self.along_m[0] <= x <= self.along_m[1] and self.across_m[0] <= y <= self.across_m[1]
 
 
 def tiles(pad: Pad, tiling: Tiling) -> list[Tile]:
-    """The sheets, row by row from the front left."""
     rows = list(pairwise(tiling.along_m))[::-1]
     columns = list(pairwise(tiling.across_m))
     room_width, room_height = (1e3 * side for side in pad.sheet.room_m(tiling.page_m))

@@ -12,6 +12,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.command_line import say
 from companion.base.files import YAML_SUFFIXES, save_figure, write_atomically
 from companion.base.geometry import FloatArray
 from companion.base.messages import MarkerGroup
@@ -83,11 +84,7 @@ def _span(heights_m: FloatArray, recall: FloatArray) -> str:
 
 
 def draw_coverage(coverage: PredictedRecall, pad: Pad, camera: CameraConfig, path: Path) -> None:
-    """Recall over the height, a line for each group and the pad.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Recall over the height, a line for each group and the pad."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - slow
 
     figure = Figure(figsize=(9.0, 4.6), dpi=120, layout="constrained")
@@ -124,17 +121,13 @@ def run_pad(
     spread: Mapping[str, float],
     single: Mapping[str, object] | None,
 ) -> None:
-    """Check, print or judge; `single` is the marker of a pad that has but one, None: `pad` is a file.
-
-    Raises:
-        ConfigError: the pad breaks a rule, or a file cannot be written.
-    """
+    """Check, print or judge; `single` is the marker of a pad that has but one, None: `pad` is a file."""
     prepare_opencv()
     console = Console()
     made = load_pad(pad) if single is None else single_pad(single)
     if paper is not None:
         made = on_paper(made, paper, pad)
-    _say(console, *summary(made))
+    say(console, *summary(made))
     if coverage:
         _judge(made, camera or DEFAULT_CAMERA, replace(HOVER, **spread), output, console)
     elif output is not None:
@@ -142,17 +135,13 @@ def run_pad(
             path = output.with_suffix(".yaml")
             body = yaml.safe_dump(made.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
             write_atomically(path, f"# Written by companion pad single\n{body}")
-            _say(console, f"{path}: name it in the settings: pad: {path}")
+            say(console, f"{path}: name it in the settings: pad: {path}")
         if single is None or output.suffix.lower() != YAML_SUFFIXES[0]:
             _print(made, output, console)
 
 
 def single_pad(marker: Mapping[str, object]) -> Pad:
-    """One marker in the middle of a board that is as large as its white needs.
-
-    Raises:
-        ConfigError: no such marker, or it cannot be printed.
-    """
+    """One marker in the middle of a board that is as large as its white needs."""
     given = {"dictionary": "apriltag_36h11", "id": 0, "side_m": 0.4, "position_pad_m": (0.0, 0.0), **marker}
     one = validate(Marker, given, "single")
     board_m = math.ceil(1e3 * (one.side_m + 2.0 * one.quiet_m) - 1e-6) / 1e3
@@ -162,11 +151,6 @@ def single_pad(marker: Mapping[str, object]) -> Pad:
 
 
 def on_paper(pad: Pad, paper: Literal[PaperName, "large"], source: str) -> Pad:
-    """The pad on another sheet.
-
-    Raises:
-        ConfigError: it cannot be printed on it.
-    """
     kept = pad.sheet.model_dump(exclude={"size_m"})
     sheet = validate(Sheet, {**kept, "paper": paper}, f"{source}: sheet")
     return checked(pad.model_copy(update={"sheet": sheet}), f"{source} on {paper}")
@@ -193,8 +177,8 @@ def _print(pad: Pad, output: Path, console: Console) -> None:
     pages = draw_pad(pad)
     for path in save(pages, output):
         resolution = f" ({png_dpi(pages[0].size_mm)} dots an inch)" if path.suffix.lower() == ".png" else ""
-        _say(console, f"{path}{resolution}")
-    _say(console, "print at 100 %, and hold a ruler against the one on the sheet")
+        say(console, f"{path}{resolution}")
+    say(console, "print at 100 %, and hold a ruler against the one on the sheet")
 
 
 def _judge(pad: Pad, camera_name: str, spread: HoverSpread, output: Path | None, console: Console) -> None:
@@ -203,12 +187,7 @@ def _judge(pad: Pad, camera_name: str, spread: HoverSpread, output: Path | None,
     camera = load_model(CameraConfig, find_file("cameras", camera_name))
     console.print(coverage_table(predict(pad, camera, spread, np.array(TABLE_HEIGHTS_M))))
     everywhere = predict(pad, camera, spread)
-    _say(console, f"{camera.name}, {spread.words}:", *coverage_lines(everywhere))
+    say(console, f"{camera.name}, {spread.words}:", *coverage_lines(everywhere))
     if output is not None:
         draw_coverage(everywhere, pad, camera, output)
-        _say(console, f"picture: {output}")
-
-
-def _say(console: Console, *lines: str) -> None:
-    for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+        say(console, f"picture: {output}")

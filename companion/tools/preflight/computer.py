@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Final
 
 from companion.app.service.systemd import SERVICE, ServiceState, output_of, throttled_bits
+from companion.flightlog.commands import SERVICE_FLIGHTS
 from companion.tools.preflight.findings import Finding, FindingGroup
 
-SERVICE_FOLDER: Final = Path("/var/lib/companion")
 LEAST_FREE_MB, LOW_FREE_MB = 200, 2000  # a flight leaves up to 100 MB a minute
 # of vcgencmd get_throttled
 UNDER_VOLTAGE, THROTTLED, HOT, UNDER_VOLTAGE_SINCE = 0x1, 0x4, 0x8, 0x10000
@@ -18,8 +18,8 @@ _GROUP: Final = FindingGroup("computer")
 
 def check_computer(record: Path | None, state: ServiceState | None, now: datetime) -> list[Finding]:
     """All findings about the computer; `record` is where flights are kept, if not in the usual place."""
-    installed = SERVICE_FOLDER.is_dir() or (state is not None and state.load == "loaded")
-    folder = record or (SERVICE_FOLDER if installed else Path.cwd())
+    installed = SERVICE_FLIGHTS.is_dir() or (state is not None and state.load == "loaded")
+    folder = record or (SERVICE_FLIGHTS if installed else Path.cwd())
     return [_clock(now), _disk(folder), _power(), _service(state)]
 
 
@@ -49,7 +49,7 @@ def _disk(folder: Path) -> Finding:
     if free_mb < LOW_FREE_MB:
         return _GROUP.warn("disk", detail, f"expected {LOW_FREE_MB / 1000:g} GB or more for a day's flights")
     if not os.access(there, os.W_OK):
-        ours = folder == SERVICE_FOLDER
+        ours = folder == SERVICE_FLIGHTS
         hint = "sudo -u companion companion check" if ours else "--record DIR: where flights are to be kept"
         return _GROUP.skip("disk", f"{detail}, not writable by this user", hint)
     return _GROUP.ok("disk", detail)

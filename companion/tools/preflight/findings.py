@@ -88,7 +88,6 @@ def worst(findings: list[Finding]) -> FindingState:
 
 
 def not_looked_at(findings: list[Finding]) -> list[str]:
-    """The groups in which nothing at all was looked at."""
     looked_at = {finding.group for finding in findings if finding.state is not FindingState.NOT_CHECKED}
     return list(dict.fromkeys(finding.group for finding in findings if finding.group not in looked_at))
 

@@ -83,7 +83,6 @@ class Wanted:
         autopilot_kind: AutopilotKind,
         system_id: int = 1,
     ) -> Wanted:
-        """From the settings, for that autopilot."""
         setpoint = resolved(config.control, autopilot_kind).setpoint
         limits = config.control.limits
         return cls(
@@ -278,7 +277,7 @@ TARGET_RULES: Final[dict[AutopilotKind, dict[str, _Rule]]] = {
         "RTL_PLD_MD": _Rule(
             _positive("expected 2: RTL lands beside the target; with 1 it lands on one that it sees at once"),
             _to(2.0),
-        ),
+        )
     },
     "ardupilot": {
         "PLND_ENABLED": _exactly(1.0, "the target is not used"),
@@ -350,9 +349,7 @@ RULES: Final[dict[AutopilotKind, dict[str, _Rule]]] = {
 }
 # the same by the names and units of other versions (`AutopilotMake.other_names`)
 OTHERS: Final[dict[AutopilotKind, dict[str, dict[str, _Rule]]]] = {
-    "px4": {
-        "COM_RC_OVERRIDE": {"COM_RC_OVR_SPEED": _Rule(_positive(f"expected more than 0: {_NO_STICKS}"))},
-    },
+    "px4": {"COM_RC_OVERRIDE": {"COM_RC_OVR_SPEED": _Rule(_positive(f"expected more than 0: {_NO_STICKS}"))}},
     "ardupilot": {
         "ANGLE_MAX": {"ATC_ANGLE_MAX": _tilt(1.0)},
         "LAND_SPEED": {"LAND_SPD_MS": _Rule(_land_speed(_CENTI, "m/s"), _to(0.5))},
@@ -441,7 +438,6 @@ def with_change(finding: Finding, read: ParameterReadings, wanted: Wanted) -> Fi
 
 
 def parameters_read(findings: Sequence[Finding]) -> bool:
-    """Whether the autopilot reported any parameter."""
     return any(item.group == GROUP and item.state is not FindingState.NOT_CHECKED for item in findings)
 
 

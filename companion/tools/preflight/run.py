@@ -33,7 +33,6 @@ def compared(
 
 
 def _horizons(devices: Sequence[Finding], link: Sequence[Finding]) -> Finding:
-    """Our horizon against the autopilot's."""
     horizons = [
         next((finding.horizon_rad for finding in found if finding.horizon_rad is not None), None)
         for found in (devices, link)

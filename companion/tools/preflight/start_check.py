@@ -25,11 +25,7 @@ from companion.pad import load_pad
 
 
 def check_start(path: Path) -> None:
-    """Read the settings, and the files, keys and tokens that they name.
-
-    Raises:
-        ConfigError: one of them cannot be read, or is not as it should be.
-    """
+    """Read the settings, and the files, keys and tokens that they name."""
     config = load_config(path)
     load_model(CameraConfig, find_file("cameras", config.camera))
     load_vehicle(config.vehicle, config.mount, config.camera)
@@ -42,7 +38,6 @@ def check_start(path: Path) -> None:
 
 
 def main(words: list[str]) -> int:
-    """The exit code."""
     if len(words) != 1:
         print("start_check: expected one FILE, the settings", file=sys.stderr)
         return 2

@@ -21,11 +21,6 @@ class Answers(Enum):
 
 
 def go_through(machine: Machine, config: CompanionConfig, answers: Answers) -> bool:
-    """The whole list; whether no change failed.
-
-    Raises:
-        ConfigError: there is nobody to ask.
-    """
     if answers is Answers.ASKED and not sys.stdin.isatty():
         raise ConfigError("setup: no terminal to ask at; expected --plan, --yes, or a terminal")
     well, reboot, changed, left = True, False, 0, 0
@@ -75,7 +70,6 @@ def _agreed(step: Step, answers: Answers) -> bool:
 
 
 def _change(machine: Machine, change: FileChange | Program) -> bool:
-    """Make one change, and say so; whether it went well."""
     if isinstance(change, FileChange):
         machine.write(change.name, change.text)
         typer.echo(f"   changed {change.name}; as it was before: {change.name}{BEFORE}")

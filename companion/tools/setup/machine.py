@@ -93,11 +93,7 @@ class Machine:
             return None
 
     def write(self, name: str, text: str) -> None:
-        """Replace a file, keeping the first one.
-
-        Raises:
-            ConfigError: it cannot be written.
-        """
+        """Replace a file, keeping the first one."""
         path = self.path(name)
         if path.exists() and not (kept := path.with_name(path.name + BEFORE)).exists():
             shutil.copyfile(path, kept)
@@ -112,7 +108,6 @@ class Machine:
 
     @property
     def no_model(self) -> str:
-        """Why there is no model."""
         words = (self.read("/proc/device-tree/model") or "").strip()
         return f"not known here: {words}" if "Raspberry Pi" in words else "not a Raspberry Pi"
 

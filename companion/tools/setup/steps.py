@@ -96,7 +96,6 @@ def _uart(
 def _line(
     machine: Machine, model: Model, title: str, line: str, done: str, why: str, *, needed: bool
 ) -> Step:
-    """One line of config.txt."""
     if _is_set(machine, model, line):
         return _done(title, done, needed=needed)
     changes = _in_config_txt(machine, title, (line,))

@@ -30,7 +30,7 @@ def test_a_flight_on_board_fills_no_memory_with_what_only_a_score_reads(
     monkeypatch.setattr(command, "_vehicle_flight", flight)
     settings = tmp_path / "settings.yaml"
     settings.write_text("plan: {mission: {may_arm: true}}\n", encoding="utf-8")
-    assert fly_the_vehicle(settings, Output.of(tmp_path / "flights", None, live=False)) == 0
+    assert fly_the_vehicle(settings, Output(tmp_path / "flights", None, live=False)) == 0
     assert dict(logs[0].kept) == {}
     assert (tmp_path / "flights" / "flight-0001" / "flight.mcap").stat().st_size > 0
 
@@ -72,7 +72,7 @@ TELLS = "plan: {mission: {may_arm: true}}\ncontrol: {output: landing_target}\n"
 def test_no_flight_is_flown_by_settings_that_fly_nothing(tmp_path: Path) -> None:
     settings = tmp_path / "settings.yaml"
     settings.write_text(TELLS, encoding="utf-8")
-    output, refused = Output.of(None, None, live=False), "landing_target flies nothing; expected setpoints"
+    output, refused = Output(None, None, live=False), "landing_target flies nothing; expected setpoints"
     with pytest.raises(ConfigError, match=f"--fly: .*{refused}"):
         fly_the_vehicle(settings, output)
     with pytest.raises(ConfigError, match=f"--sitl: .*{refused}"):

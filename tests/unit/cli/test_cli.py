@@ -274,10 +274,10 @@ def test_it_needs_real_time() -> None:
 def test_it_goes_over_the_settings_and_leaves_the_rest_of_them() -> None:
     serve = {"address": "[::1]:90", "rate_hz": 5.0}
     config = CompanionConfig(serve=validate(ServeConfig, serve, "test"))
-    output = Output(Console(), None, None, live=False, serve="127.0.0.1:81")
+    output = Output(None, None, live=False, serve="127.0.0.1:81")
     assert output.shown(config).serve == ServeConfig(address="127.0.0.1:81", rate_hz=5.0)
-    assert Output(Console(), None, None, live=False).shown(config) is config
-    wrong = Output(Console(), Path("x"), None, live=False, serve="8080")
+    assert Output(None, None, live=False).shown(config) is config
+    wrong = Output(Path("x"), None, live=False, serve="8080")
     with pytest.raises(ConfigError, match=r"^--serve: address: expected ADDRESS:PORT"):
         wrong.shown(config)
 

@@ -351,6 +351,16 @@ def test_a_flight_is_exported_whole_by_its_number(tmp_path: Path, monkeypatch: p
         run("logs", "export", "flights/flight-0007")
 
 
+def test_a_flight_is_exported_by_its_name_in_the_list(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record(tmp_path / "flights" / "circle")
+    monkeypatch.chdir(tmp_path)
+    run("logs", "export", "circle")
+    with zipfile.ZipFile("circle.zip") as archive:
+        assert "circle/flight.mcap" in archive.namelist()
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -18,7 +18,7 @@ from companion.base.messages import ControlReport, Frame, Notice, Outcome, Phase
 from companion.cli import cli
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.flightlog.record import FlightLog
-from companion.flightlog.report.command import write_report
+from companion.flightlog.report import write_report
 from companion.flightlog.report.figures import PHASE_COLOURS, figures, phase_spans
 from companion.flightlog.report.logged_flight import SensorRecord, read_flight
 from companion.flightlog.report.page import differences, sensor_rows
@@ -132,6 +132,13 @@ def test_a_log_cut_short_gives_a_page_as_far_as_it_goes(tmp_path: Path) -> None:
     assert "the log is cut short" in write_report(tmp_path).read_text()
 
 
+def test_a_recording_by_any_name_has_its_page_beside_it(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    (tmp_path / "flight.mcap").rename(tmp_path / "over the lake.mcap")
+    run("report", str(tmp_path / "over the lake.mcap"))
+    assert "over the lake" in (tmp_path / "over the lake.html").read_text()
+
+
 def test_pictures_are_of_key_moments(tmp_path: Path) -> None:
     write_flight(tmp_path)
     pictures = read_flight(tmp_path).pictures
@@ -158,7 +165,7 @@ def test_what_is_no_flight_is_reported_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"flight\.mcap: cannot be read"):
         run("report", str(tmp_path))
     (tmp_path / "notes.txt").touch()
-    with pytest.raises(ConfigError, match=r"notes\.txt: another file; expected a flight's folder"):
+    with pytest.raises(ConfigError, match=r"notes\.txt: no recording of flights; expected a flight's folder"):
         run("report", str(tmp_path / "notes.txt"))
     FlightLog(tmp_path / "empty", 0.0).close()
     with pytest.raises(ConfigError, match="holds no flight"):

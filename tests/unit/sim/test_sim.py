@@ -186,7 +186,7 @@ def test_a_result_that_cannot_be_written_is_in_the_record_all_the_same(
     for name in ("write_report", "result_table"):
         monkeypatch.setattr(command, name, lambda *_, **__: "")
     report = SimulationReport(Outcome.LANDED, (), None, 0.0, 30.0, 0.0, ())
-    output = Output.of(tmp_path, Path("/dev/full"), live=False)
+    output = Output(tmp_path, Path("/dev/full"), live=False)
     trial, flown = Trial.load("static", 0), SitlFlight(report, 1.0, 0.0)
     landed = Result.model_construct(outcome=Outcome.LANDED)
     with pytest.raises(ConfigError, match="No space left"):

@@ -6,8 +6,7 @@ import cv2
 import pytest
 
 from companion.config import ConfigError
-from companion.tools.pad_check.command import check_command
-from companion.tools.pads.command import pad_command
+from companion.tools.commands import check_command, pad_command
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from aiohttp.test_utils import TestClient, TestServer
 from companion.app.page import server as page
 from companion.app.page.access import (
     TOKEN_VARIABLE,
+    Access,
     host_is_ours,
     own_names,
     read_access,
@@ -47,12 +48,8 @@ from companion.pad import load_pad
 
 TOKEN = "a token of enough characters"
 START = Start(
-    host="127.0.0.1",
-    port=0,
-    token=None,
-    allow_commands=False,
-    host_names=("rover.lan",),
-    most_viewers=2,
+    access=Access("127.0.0.1", 0, None),
+    serve=ServeConfig(host_names=("rover.lan",), most_viewers=2),
     camera=load_model(CameraConfig, find_file("cameras", "sitl_640x480")),
     vehicle=load_vehicle("x500", None, "sitl_640x480"),
     pad=load_pad("moving_1300"),
@@ -61,8 +58,11 @@ START = Start(
 )
 
 
-def start(**changes: Any) -> Start:
-    return replace(START, **changes)
+def start(
+    *, token: str | None = None, flights: Path | None = None, settings_text: str = "", **serve: Any
+) -> Start:
+    access, config = replace(START.access, token=token), START.serve.model_copy(update=serve)
+    return replace(START, access=access, serve=config, flights=flights, settings_text=settings_text)
 
 
 def frame(time_s: float = 101.0, sequence: int = 7) -> Frame:

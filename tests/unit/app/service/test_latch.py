@@ -221,7 +221,7 @@ def test_a_permitted_start_that_ends_in_a_settings_error_leaves_the_next_one_per
     latch = FlightLatch(tmp_path)
     latch.permit()
     with pytest.raises(ConfigError, match="nobody_s"):
-        fly_the_vehicle(settings, Output(Console(quiet=True), tmp_path, None, live=False))
+        fly_the_vehicle(settings, Output(tmp_path, None, live=False, console=Console(quiet=True)))
     assert latch.read()[0] is LatchState.PERMITTED
 
 
@@ -238,7 +238,7 @@ def test_a_permitted_start_that_fails_in_a_way_it_should_not_leaves_the_next_one
     latch = FlightLatch(tmp_path)
     latch.permit()
     with pytest.raises(MemoryError):
-        fly_the_vehicle(settings, Output(Console(quiet=True), tmp_path, None, live=False))
+        fly_the_vehicle(settings, Output(tmp_path, None, live=False, console=Console(quiet=True)))
     assert latch.read()[0] is not LatchState.PERMITTED
     assert latch.refusal(unattended=True) is not None
 

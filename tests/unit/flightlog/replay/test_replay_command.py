@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from companion.flightlog.log_file import log_name
 from companion.flightlog.record import FlightLog
-from companion.flightlog.replay.job import log_name
 from tests.programs import ProgramHere
 from tests.unit.estimate.estimate_flight import EstimateFlight, hover, pad_at_rest, sprint
 from tests.unit.flightlog.replay.log_files import FLIGHT, write_dataflash, write_own, write_ulog

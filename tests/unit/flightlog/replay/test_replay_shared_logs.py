@@ -4,7 +4,7 @@ import pytest
 
 from companion.config import CONFIG_FOLDER
 from companion.flightlog.replay.compare import ReplayResult, build_result
-from companion.flightlog.replay.reading import read_log
+from companion.flightlog.replay.job import read_log
 from companion.flightlog.replay.run import replay
 from companion.flightlog.replay.settings import choose
 

@@ -19,8 +19,8 @@ from companion.config import (
 )
 from companion.control.response.identification import IdentifiedResponse, ResponseEstimate
 from companion.flightlog.record import FlightLog
+from companion.tools.commands import identify_command
 from companion.tools.identify import judge
-from companion.tools.identify.command import identify_command
 from companion.tools.identify.judge import read_flight
 from tests.unit.control.controller_inputs import vehicle_state
 

@@ -13,8 +13,7 @@ from companion.config import CameraConfig, ConfigError, VehicleConfig, VisionCon
 from companion.pad import load_pad
 from companion.sense.vision.pipeline import Vision, VisionResult
 from companion.tools.pad_check.job import verdict_line
-from companion.tools.pad_check.mirror import MirrorWatch
-from companion.tools.pad_check.session import draw
+from companion.tools.pad_check.session import MirrorWatch, draw
 from companion.tools.pad_check.wizard import Wizard
 from tests.unit.tools.pad_check.hand_check import MOUNTING, check, mirrored, settings, vehicle_file
 

@@ -12,8 +12,8 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CompanionConfig, ConfigError, VehicleConfig, find_file, load_model
 from companion.link.codec import mavlink
 from companion.link.commands import ParameterRequest, ParameterRequests
+from companion.tools.commands import check_command
 from companion.tools.pad_check import job
-from companion.tools.pad_check.command import check_command
 from companion.tools.preflight.findings import Finding, FindingState, findings_json
 from companion.tools.preflight.parameters import (
     GROUP,

@@ -140,9 +140,10 @@ def test_a_check_that_looked_at_all_says_that_nothing_fails() -> None:
 def test_the_disk_is_that_of_the_installed_service_before_its_first_start_too(
     state: ServiceState | None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(computer, "SERVICE_FOLDER", tmp_path / "var" / "lib" / "companion")
+    flights = tmp_path / "var" / "lib" / "companion"
+    monkeypatch.setattr(computer, "SERVICE_FLIGHTS", flights)
     (disk,) = (finding for finding in computer.check_computer(None, state, NOW) if finding.name == "disk")
-    where = Path.cwd() if state is None else computer.SERVICE_FOLDER
+    where = Path.cwd() if state is None else flights
     assert f"GB free for {where}" in disk.detail
 
 
@@ -150,5 +151,5 @@ def test_who_may_not_write_is_told_what_mends_it(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(0, 0, 9e9))
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write anywhere
     assert found(monkeypatch, tmp_path)["disk"].hint.startswith("--record DIR")
-    monkeypatch.setattr(computer, "SERVICE_FOLDER", tmp_path)
+    monkeypatch.setattr(computer, "SERVICE_FLIGHTS", tmp_path)
     assert found(monkeypatch, tmp_path)["disk"].hint == "sudo -u companion companion check"

@@ -22,7 +22,7 @@ MODELS: Final[dict[SettingsFile, type[BaseModel]]] = {
     "vehicle": VehicleConfig,
     "pad": Pad,
 }
-HELP: Final = """Explain settings: unit, default, bounds, meaning, and when to change them.
+SETTINGS_HELP: Final = """Explain settings: unit, default, bounds, meaning, and when to change them.
 
 WORD is a key, a part of the tree, or any word of a key. Without one: the settings that an operator sets.
 
@@ -44,11 +44,6 @@ def settings_command(
     everything: Annotated[bool, typer.Option("--all", help="Those for experts too.")] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the file's JSON schema instead.")] = False,
 ) -> None:
-    """Print settings, a paragraph each.
-
-    Raises:
-        ConfigError: no setting has this word in its key.
-    """
     if schema:
         typer.echo(json.dumps(MODELS[of].model_json_schema(), indent=2, ensure_ascii=False))
         return
@@ -58,11 +53,7 @@ def settings_command(
 
 
 def chosen(settings: list[Setting], word: str | None, *, everything: bool) -> Iterable[Setting]:
-    """The settings to show; a word finds those for experts too.
-
-    Raises:
-        ConfigError: none has this word in its key.
-    """
+    """The settings to show; a word finds those for experts too."""
     if word is None:
         return [setting for setting in settings if everything or setting.for_operators]
     key = word.strip(".").lower()
@@ -77,7 +68,6 @@ def chosen(settings: list[Setting], word: str | None, *, everything: bool) -> It
 
 
 def paragraph(setting: Setting, of: SettingsFile, width: int) -> list[str]:
-    """The lines of one setting."""
     facts = [setting.unit, f"default {setting.default}", setting.bounds]
     audience = "" if of != "app" else "operator" if setting.for_operators else "expert"
     head = f"{setting.key}  ({', '.join(part for part in (*facts, audience) if part)})"

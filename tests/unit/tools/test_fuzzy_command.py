@@ -12,7 +12,7 @@ from companion.cli import cli
 from companion.config import ConfigError
 from companion.plan.speed.fuzzy_rules import load_rules
 from companion.plan.speed.speed_table import load_table
-from companion.tools.fuzzy import run as plots
+from companion.tools import fuzzy as plots
 
 FEW = ("--points", "200")
 

@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.command_line import say
 from companion.base.files import save_figure
 from companion.plan.speed.fuzzy_check import LARGEST_ERROR, AnyTable, TableError, table_error, worst_slips
 from companion.plan.speed.fuzzy_rules import (
@@ -40,11 +41,6 @@ BOX_SHARE: Final = 0.86
 
 
 def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
-    """Draw all into a PNG.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
     sets = _sets(rules, table)
     figure = Figure(figsize=(15.0, 8.5 * len(sets)), dpi=110, layout="constrained")
     halves: Any = figure.subfigures(2 * len(sets), 1, height_ratios=(1.0, 1.7) * len(sets))
@@ -127,11 +123,7 @@ UNITS: Final = {"m": "m", "m_s": "m/s", "m_s2": "m/s²", "rad": "rad"}
 
 
 def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite: bool) -> bool:
-    """Show, check and draw; whether the table holds and the rules are a pilot's.
-
-    Raises:
-        ConfigError: the rules cannot be read or break a rule, or a file cannot be written.
-    """
+    """Show, check and draw; whether the table holds and the rules are a pilot's."""
     console = Console()
     read = load_rules(rules)
     written = write_table(rules) if rewrite else None
@@ -141,12 +133,12 @@ def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite:
         for block in rule_tables(rule_set):
             console.print(block)
     if written is not None:
-        console.print(f"table written: {written}", highlight=False, soft_wrap=True)
+        say(console, f"table written: {written}")
     elif how == "computed":
-        console.print("no table belongs to these rules: computed anew, at each start; see --write-table")
+        say(console, "no table belongs to these rules: computed anew, at each start; see --write-table")
     if plot is not None:
         draw(read, table, plot)
-        console.print(f"picture: {plot}", highlight=False, soft_wrap=True, markup=False)
+        say(console, f"picture: {plot}")
     held = [_check(console, *each, points, np.random.default_rng(seed)) for each in sets]
     return all(held)  # all are shown, whichever fails
 
@@ -154,8 +146,7 @@ def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite:
 def _check(console: Console, rules: RuleSet, table: AnyTable, points: int, rng: np.random.Generator) -> bool:
     """Print what a table is worth; whether it holds and the rules are a pilot's."""
     error, slips = table_error(rules, table, points, rng), worst_slips(rules, table)
-    for line in (error_line(rules, error), *sense_lines(slips)):
-        console.print(line, highlight=False, soft_wrap=True)
+    say(console, error_line(rules, error), *sense_lines(slips))
     return error.holds and all(slip <= MONOTONE_TOLERANCE_M_S for slip in slips.values())
 
 

@@ -1,1 +1,0 @@
-"""`companion settings`: what each setting means."""
