@@ -27,7 +27,7 @@ EARLIEST_UNIX_S: Final = 1_704_067_200.0  # 2024-01-01
 class FlightSummary:
     """What `companion logs` lists; `start_unix_s` is None where the clock was not set or nothing was logged.
 
-    `lateral_m` is the horizontal distance from the pad's centre: at first contact by the simulator's truth,
+    `lateral_m` is the horizontal distance from the pad's centre: at the landing by the simulator's truth,
     else (`estimated`) at the end of a landing by the pad filter; None without either.
     """
 
@@ -85,7 +85,7 @@ def summary_of(folder: Path) -> FlightSummary:
 
 
 def _verdict(path: Path) -> tuple[str | None, float | None]:
-    """Outcome and lateral error at first contact of a flight in the simulator; None without a result."""
+    """Outcome and lateral error at the landing of a flight in the simulator; None without a result."""
     try:
         result = json.loads(path.read_bytes())
         touchdown = result["touchdown"]
