@@ -119,7 +119,7 @@ def companion(
     if fast and serve is not None:
         raise ConfigError("--serve: shows a flight in real time; expected it without --fast")
     if sitl:
-        find_file("scenarios", scenario or "line")
+        find_file("scenarios", "line" if scenario is None else scenario)
     else:
         ours = {
             "--scenario": scenario,
@@ -140,7 +140,7 @@ def companion(
     from companion.sim.command import fly_in_sitl, load_trial  # noqa: PLC0415 - see above
 
     flown = (firmware, firmware_path, firmware_param)
-    trial = load_trial(scenario or "line", seed or 0, theirs, flown, fast=fast)
+    trial = load_trial("line" if scenario is None else scenario, seed or 0, theirs, flown, fast=fast)
     raise typer.Exit(fly_in_sitl(config, trial, output, fast=fast))
 
 

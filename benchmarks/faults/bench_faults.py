@@ -30,6 +30,7 @@ from benchmarks.faults.witness import WitnessedFlight
 from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.campaign.tables import Bar
+from sitl.run.process_control import terminated_as_interrupted
 
 SMOKE: Final = (
     *("--faults", "GPS lost", "--phases", "descend", "--autopilots", "px4"),
@@ -106,6 +107,10 @@ def fly_all(runs: Sequence[FaultRun], code: str, jobs: int, take: Take) -> None:
                 if forks.begin(run):
                     forks.deliver(fly_alone(run, code))
         forks.wait()
+    except BaseException:
+        if forks.mine is not None:
+            os._exit(1)  # a child that was interrupted: the first process tells
+        raise
     finally:
         forks.stop()
 
@@ -220,7 +225,8 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     left = [run for run in asked if run not in done]
     report.show(f"{len(asked)} flights, {len(left)} to fly")
     try:
-        done.update(fly_left(left, code, options.jobs, file, report))
+        with terminated_as_interrupted():
+            done.update(fly_left(left, code, options.jobs, file, report))
     except KeyboardInterrupt:
         print("stopped: the same command goes on with what is left", file=sys.stderr)
         os._exit(130)  # the flight's loop was broken off, and would tell of each of its tasks

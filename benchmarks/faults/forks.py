@@ -14,7 +14,6 @@ from contextlib import suppress
 from typing import Generic, NoReturn, TypeVar
 
 from benchmarks.faults.cases import FaultRun
-from companion.base.signals import STOPPING
 
 Answer = TypeVar("Answer")
 
@@ -42,8 +41,6 @@ class Forks(Generic[Answer]):
             for pipe in (from_child, *self._flying):
                 os.close(pipe)
             self._flying, self._to_parent, self.mine = {}, to_parent, run
-            for number in STOPPING:
-                signal.signal(number, signal.SIG_IGN)  # the parent ends it
             asyncio._set_running_loop(loop)
             return True
         os.close(to_parent)

@@ -66,12 +66,12 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
     """Fly the real vehicle once, at once, and return the exit code."""
     prepare_opencv()
     config = output.shown(load_config(config_path))
+    must_fly(config, f"--fly: {config_path}")
     if not config.plan.mission.may_arm:
         raise ConfigError(
             f"--fly: {config_path}: plan.mission.may_arm is false; "
             "expected true, which allows the app to arm and take off"
         )
-    must_fly(config, f"--fly: {config_path}")
     latch = FlightLatch(output.record or state_folder())
     folder = None if output.record is None else next_flight_folder(output.record)
     _make_room(output.record, config)

@@ -70,7 +70,7 @@ def logs_command(
         raise ConfigError("logs list: lists all flights; expected no FLIGHT and no --output")
     if action is not LogsAction.LIST and flight is None:
         raise ConfigError(f"logs {action}: which one? Expected a FLIGHT: a number of the list, or a path")
-    chosen = root if flight is None else find_flight(root, flight)
+    chosen = root if flight is None else find_flight(root, flight, chosen=record is not None)
     if action is LogsAction.EXPORT:
         must_be_readable(chosen / LOG_NAMES[0])
     elif flight is not None:
@@ -88,11 +88,16 @@ def logs_command(
         logs.repair(chosen, output)
 
 
-def find_flight(root: Path, flight: str) -> Path:
-    """The path that is meant by a number or a name in the list, or by a path."""
+def find_flight(root: Path, flight: str, *, chosen: bool = False) -> Path:
+    """The path that is meant by a number or a name in the list, or by a path.
+
+    Where the root was `chosen`, its names come before paths from here.
+    """
     path, named = Path(flight), root / flight
-    if path.exists() or named.is_dir():
-        return path if path.exists() else named
+    if named.is_dir() and (chosen or not path.exists()):
+        return named
+    if path.exists():
+        return path
     if not flight.isdecimal():
         return path
     for folder in numbered_flights(root):
@@ -134,6 +139,8 @@ def report_command(
         ),
     ] = None,
 ) -> None:
+    if output is not None and output.suffix.lower() not in {".html", ".htm"}:
+        raise ConfigError(f"--output {output}: expected the page's name, as {output.stem}.html")
     with unpacked(path) as flight:
         from companion.flightlog.report import write_report
 

@@ -22,6 +22,7 @@ T = TypeVar("T")
 
 LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
 REPAIRED_NAME: Final = "flight-repaired.mcap"
+OF_A_FOLDER: Final = (LOG_NAMES[0], REPAIRED_NAME)  # logs whose flight's other files lie beside them
 SETTINGS_NAME: Final = "settings.yaml"
 # the MCAP metadata that a replay needs
 SETTINGS_RECORD: Final = "settings"
@@ -41,7 +42,7 @@ def log_file(path: Path) -> Path:
 def log_name(path: Path) -> str:
     """What to call a log: its file's name, or its folder's where all files are called alike."""
     file = log_file(path.resolve())
-    return file.parent.name if file.name == LOG_NAMES[0] else file.stem
+    return file.parent.name if file.name in OF_A_FOLDER else file.stem
 
 
 def find_log(path: Path) -> Path:

@@ -28,7 +28,7 @@ def list_flights(root: Path) -> None:
     try:
         flights = recorded_flights(root)
     except OSError as error:
-        raise cannot_read(root, error, "--record", "a folder of flights") from error
+        raise cannot_read(root, error, expected="a folder of flights") from error
     total = 0
     if flights:
         typer.echo(

@@ -27,7 +27,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import ConfigError
-from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, LogReader, log_name
+from companion.flightlog.log_file import OF_A_FOLDER, SETTINGS_RECORD, VERSIONS_RECORD, LogReader, log_name
 from companion.flightlog.replay.mcap_log import SAMPLES
 from companion.flightlog.result import Result, from_start
 from companion.flightlog.summary import ending
@@ -104,7 +104,8 @@ def read_flight(path: Path) -> LoggedFlight:
     reading = _Reading(reader := LogReader(path))
     for topic, message in reader.messages():
         reading.take(topic, message)
-    return reading.finish(_result(reader.path.parent / RESULT_NAME))
+    beside = reader.path.parent / RESULT_NAME
+    return reading.finish(_result(beside) if reader.path.name in OF_A_FOLDER else None)
 
 
 def _result(path: Path) -> Result | None:

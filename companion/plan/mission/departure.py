@@ -46,14 +46,15 @@ class Departure:
         self._waypoints, self._avoidance, self._say = waypoints, avoidance, say
         self._settled = Debounce()
         self._reminded_s = -math.inf
+        self._sent_to: Vector3 | None = None  # latitude, longitude, altitude
 
     def with_numbers(self, action: Action, autopilot: AutopilotState) -> Action:
         """One of the table's requests with the mission's numbers in it."""
         if action.kind is ActionKind.TAKE_OFF:
             return replace(action, height_m=self._config.take_off_height_m)
         if action.kind is ActionKind.GO_TO and autopilot.home is not None:
-            latitude, longitude, _ = self._waypoint_geodetic(autopilot.home)
-            return replace(action, position=(latitude, longitude, self._config.take_off_height_m))
+            self._sent_to = self._waypoint_geodetic(autopilot.home)
+            return replace(action, position=(*self._sent_to[:2], self._config.take_off_height_m))
         if action.kind is ActionKind.HOLD and action.height_m != 0.0:
             here_m = self._ground.over_home_m  # asked again, it does not rise again from where it is then
             return replace(action, height_m=0.0 if here_m is None else here_m + action.height_m)
@@ -115,20 +116,22 @@ class Departure:
 
         The two differ by metres, and an autopilot that stands where it was sent comes no nearer.
         """
-        if autopilot.home is None:
+        if self._sent_to is None:
             return None
-        waypoint, distances_m = self._waypoint_geodetic(autopilot.home), [math.inf]
+        ours_m_s, c = math.hypot(*vehicle.velocity_ned_m_s[:2]), self._config
+        found = []  # how far away, and how fast
         if vehicle.origin is not None:
-            there = ned_from_geodetic(*waypoint, vehicle.origin)
-            distances_m.append(math.dist(vehicle.position_ned_m[:2], there[:2]))
+            there = ned_from_geodetic(*self._sent_to, vehicle.origin)
+            found.append((math.dist(vehicle.position_ned_m[:2], there[:2]), ours_m_s))
         if autopilot.global_position is not None:
-            there = ned_from_geodetic(*waypoint, autopilot.global_position)
-            distances_m.append(math.hypot(*there[:2]))
-        distance_m, speed_m_s = min(distances_m), math.hypot(*vehicle.velocity_ned_m_s[:2])
-        if distance_m > self._config.arrival_radius_m or speed_m_s > self._config.arrival_speed_m_s:
-            return None
-        event = MissionEvent.ONWARD if self._config.waypoints_ned_m else MissionEvent.ARRIVED
-        return event, f"{distance_m:.1f} m from the waypoint"
+            there = ned_from_geodetic(*self._sent_to, autopilot.global_position)
+            theirs_m_s = autopilot.velocity_ned_m_s or vehicle.velocity_ned_m_s
+            found.append((math.hypot(*there[:2]), math.hypot(*theirs_m_s[:2])))
+        for distance_m, speed_m_s in found:
+            if distance_m <= c.arrival_radius_m and speed_m_s <= c.arrival_speed_m_s:
+                event = MissionEvent.ONWARD if c.waypoints_ned_m else MissionEvent.ARRIVED
+                return event, f"{distance_m:.1f} m from the waypoint"
+        return None
 
     def _waypoint_geodetic(self, home: Vector3) -> Vector3:
         north, east = self._config.waypoint_ned_m

@@ -359,6 +359,9 @@ def test_a_flight_is_exported_by_its_name_in_the_list(
     run("logs", "export", "circle")
     with zipfile.ZipFile("circle.zip") as archive:
         assert "circle/flight.mcap" in archive.namelist()
+    (tmp_path / "circle").mkdir()  # one of that name lies here too: where the flights are was said
+    run("logs", "export", "circle", "--record", "flights", "--output", "second.zip")
+    assert Path("second.zip").stat().st_size == Path("circle.zip").stat().st_size
 
 
 @pytest.mark.parametrize(

@@ -173,6 +173,11 @@ def test_what_is_no_flight_is_reported_in_one_line(tmp_path: Path) -> None:
     write_flight(tmp_path / "flown")
     with pytest.raises(ConfigError, match="cannot be written"):
         run("report", str(tmp_path / "flown"), "-o", str(tmp_path / "nowhere" / "page.html"))
+    recording = tmp_path / "flown" / "flight.mcap"
+    before = recording.read_bytes()
+    with pytest.raises(ConfigError, match=r"flight\.mcap: expected the page's name, as flight\.html"):
+        run("report", str(recording), "-o", str(recording))
+    assert recording.read_bytes() == before
 
 
 def run(*words: str) -> Any:

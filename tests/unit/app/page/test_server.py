@@ -59,9 +59,14 @@ START = Start(
 
 
 def start(
-    *, token: str | None = None, flights: Path | None = None, settings_text: str = "", **serve: Any
+    *,
+    token: str | None = None,
+    port: int = START.access.port,
+    flights: Path | None = None,
+    settings_text: str = "",
+    **serve: Any,
 ) -> Start:
-    access, config = replace(START.access, token=token), START.serve.model_copy(update=serve)
+    access, config = replace(START.access, token=token, port=port), START.serve.model_copy(update=serve)
     return replace(START, access=access, serve=config, flights=flights, settings_text=settings_text)
 
 

@@ -181,6 +181,24 @@ def test_each_row_shows_the_moment_at_which_it_is_exposed() -> None:
     assert np.abs(errors_of_group(image, "M", lambda p: projected(p, scene(0.0)))).max() > 1.0
 
 
+@pytest.mark.parametrize(
+    ("ahead", "right", "quadrant"),
+    [(0.7, 0.0, (0, -1)), (-0.7, 0.0, (0, 1)), (0.0, 0.7, (1, 0)), (0.0, -0.7, (-1, 0))],
+)
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
+def test_what_is_ahead_is_up_in_the_image_and_right_is_right(
+    sharp: CameraModel, ahead: float, right: float, quadrant: tuple[int, int], yaw_deg: float
+) -> None:
+    yaw = math.radians(yaw_deg)
+    north = ahead * math.cos(yaw) - right * math.sin(yaw)
+    east = ahead * math.sin(yaw) + right * math.cos(yaw)
+    image = sharp.render(0.0, still((-north, -east, -4.3), quat_from_euler(0.0, 0.0, yaw)))
+    rows, columns = np.nonzero(image > 210)  # the white of the board
+    off = np.array([columns.mean() - CAMERA.cx_px, rows.mean() - CAMERA.cy_px])
+    assert off @ quadrant > 60.0
+    assert abs(off @ (quadrant[1], quadrant[0])) < 15.0
+
+
 def test_the_same_seed_gives_the_same_picture_and_another_seed_another_noise_of_the_strength_asked_for() -> (
     None
 ):
