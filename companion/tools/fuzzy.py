@@ -12,7 +12,6 @@ from rich.table import Table
 
 from companion.base.command_line import say
 from companion.base.files import save_figure
-from companion.plan.speed.fuzzy_check import LARGEST_ERROR, AnyTable, TableError, table_error, worst_slips
 from companion.plan.speed.fuzzy_rules import (
     OUTPUT,
     FuzzyRules,
@@ -23,6 +22,7 @@ from companion.plan.speed.fuzzy_rules import (
     load_rules,
 )
 from companion.plan.speed.speed_table import MONOTONE_TOLERANCE_M_S, SpeedTable, load_table, write_table
+from companion.tools.fuzzy_check import LARGEST_ERROR, AnyTable, TableError, table_error, worst_slips
 
 mpl.use("Agg")
 

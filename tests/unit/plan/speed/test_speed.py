@@ -12,10 +12,10 @@ from companion.base.messages import Conditions, Phase
 from companion.config import CONFIG_FOLDER, ConfigError, PlanConfig
 from companion.plan.planner import Planner
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
-from companion.plan.speed.fuzzy_check import sample_points, table_error, worst_slips
 from companion.plan.speed.fuzzy_rules import INPUTS, load_rules, mamdani
 from companion.plan.speed.laws import LogPolynomial, by_conditions, load_speed_controller
 from companion.plan.speed.speed_table import SpeedTable, load_table, write_table
+from companion.tools.fuzzy_check import sample_points, table_error, worst_slips
 from tests.unit.control.controller_inputs import pad_state, vehicle_state
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import TABLE, VEHICLE, PlanFlight, PlanWorld
