@@ -64,14 +64,16 @@ _LAND, _DISARM = Action(ActionKind.LAND), Action(ActionKind.DISARM)
 _FORCE_DISARM = Action(ActionKind.DISARM, force=True)
 
 
-def _row(
-    event: MissionEvent,
+def _rows(
+    events: MissionEvent | Iterable[MissionEvent],
     states: State | Collection[State],
     *branches: Branch,
     except_: Mapping[State, str] | None = None,
-) -> TableRow:
-    listed = frozenset({states}) if isinstance(states, State) else frozenset(states)
-    return TableRow(event, listed - set(except_ or ()), branches, except_ or {})
+) -> list[TableRow]:
+    """A row for each event: in these states but those in `except_` the same follows."""
+    listed = frozenset({states} if isinstance(states, State) else states) - set(except_ or ())
+    each = (events,) if isinstance(events, MissionEvent) else events
+    return [TableRow(event, listed, branches, except_ or {}) for event in each]
 
 
 def _end(*actions: Action, guard: Guard = Guard.ALWAYS) -> Branch:
@@ -119,26 +121,29 @@ _WAITS_FOR_OPERATOR = "it waits for an order, and asks for nothing"
 _LANDS = "the autopilot lands already"
 _LOST_WITH_IT = "the estimate, lost with it, ends it"
 _GO_ON: Final = {**_all(GOING_DOWN, _FINISHES), **_all(ON_PAD, _STANDS)}
+_EARLY: Final = _all(BEFORE_TAKE_OFF, _NOT_YET)
+_BY_ITSELF: Final = _all(BY_AUTOPILOT, _FLIES_ITSELF)
+_UNASKED: Final = _all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED)
 _CLEARS = "it climbs clear of the pad and comes to rest, which returns control; so does its time"
 
 ROWS: Final = (
     # ---- ordered
-    _row(E.LAND_ORDERED, S.STANDBY, Branch(S.SEARCH)),
-    _row(E.FLY_ORDERED, S.STANDBY, Branch(S.CONNECT)),
+    *_rows(E.LAND_ORDERED, S.STANDBY, Branch(S.SEARCH)),
+    *_rows(E.FLY_ORDERED, S.STANDBY, Branch(S.CONNECT)),
     # ---- to the waypoint; a refused arming is no event, it is asked for again until the time is up
-    _row(E.READY, S.CONNECT, Branch(S.ARM, (_ARM,))),
+    *_rows(E.READY, S.CONNECT, Branch(S.ARM, (_ARM,))),
     # also after a restart in the air: somebody else flies the vehicle
-    _row(E.ALREADY_ARMED, S.CONNECT, _CONTROL_LOST),
-    _row(E.ALIGNMENT_LOST, S.ARM, _end(_DISARM)),
-    _row(E.ARMED, S.ARM, Branch(S.TAKE_OFF, (_TAKE_OFF,))),
-    _row(E.AIRBORNE, S.TAKE_OFF, Branch(S.WAYPOINT, (_GO_TO,))),
-    _row(E.BLOCKED, S.TAKE_OFF, Branch(S.ROUTE)),
-    _row(E.HOME_UNKNOWN, S.TAKE_OFF, _end(_LAND, _DISARM)),
-    _row(E.ONWARD, S.WAYPOINT, Branch(S.ROUTE)),
-    _row(E.ARRIVED, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
+    *_rows(E.ALREADY_ARMED, S.CONNECT, _CONTROL_LOST),
+    *_rows(E.ALIGNMENT_LOST, S.ARM, _end(_DISARM)),
+    *_rows(E.ARMED, S.ARM, Branch(S.TAKE_OFF, (_TAKE_OFF,))),
+    *_rows(E.AIRBORNE, S.TAKE_OFF, Branch(S.WAYPOINT, (_GO_TO,))),
+    *_rows(E.BLOCKED, S.TAKE_OFF, Branch(S.ROUTE)),
+    *_rows(E.HOME_UNKNOWN, S.TAKE_OFF, _end(_LAND, _DISARM)),
+    *_rows(E.ONWARD, S.WAYPOINT, Branch(S.ROUTE)),
+    *_rows(E.ARRIVED, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
     # ---- control
-    _row(E.STREAMING, {S.ROUTE, S.SEARCH}, Branch(None, (_TAKE_CONTROL,))),
-    _row(
+    *_rows(E.STREAMING, {S.ROUTE, S.SEARCH}, Branch(None, (_TAKE_CONTROL,))),
+    *_rows(
         E.CONTROL_GRANTED,
         {S.ROUTE, S.SEARCH},
         # its pilot has flown on meanwhile
@@ -146,165 +151,152 @@ ROWS: Final = (
         Branch(None, authority=Authority.OURS, guard=Guard.CONTROL_NONE),
     ),
     # ---- to the pad
-    _row(E.PAD_SEEN, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
-    _row(E.PAD_SEEN, S.SEARCH, Branch(S.APPROACH)),
-    _row(E.CENTRED, S.APPROACH, Branch(S.DESCEND)),
-    _row(E.LOW, S.DESCEND, Branch(S.WAIT)),
-    _row(E.PAD_LOST, {S.APPROACH, S.DESCEND}, _SEARCH_AGAIN),
-    _row(E.PAD_LOST, OVER_PAD | {S.SINK}, *_NEXT_TRY),
-    _row(E.GROUND_NEAR, {S.APPROACH, S.DESCEND} | OVER_PAD, _SEARCH_AGAIN),
+    *_rows(E.PAD_SEEN, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
+    *_rows(E.PAD_SEEN, S.SEARCH, Branch(S.APPROACH)),
+    *_rows(E.CENTRED, S.APPROACH, Branch(S.DESCEND)),
+    *_rows(E.LOW, S.DESCEND, Branch(S.WAIT)),
+    *_rows(E.PAD_LOST, {S.APPROACH, S.DESCEND}, _SEARCH_AGAIN),
+    *_rows(E.PAD_LOST, OVER_PAD | {S.SINK}, *_NEXT_TRY),
+    *_rows(E.GROUND_NEAR, {S.APPROACH, S.DESCEND} | OVER_PAD, _SEARCH_AGAIN),
     # ---- onto the pad
-    _row(E.COMMIT, OVER_PAD, Branch(S.SINK, guard=Guard.ENDS_INSIDE)),
-    _row(E.BREAK_OFF, S.SINK, Branch(S.RISE)),
-    _row(E.RISEN, S.RISE, Branch(S.WAIT)),
-    _row(E.MISALIGNED, OVER_PAD | {S.SINK}, *_NEXT_TRY),
-    _row(E.CONTACT, S.SINK, Branch(S.STAND)),
+    *_rows(E.COMMIT, OVER_PAD, Branch(S.SINK, guard=Guard.ENDS_INSIDE)),
+    *_rows(E.BREAK_OFF, S.SINK, Branch(S.RISE)),
+    *_rows(E.RISEN, S.RISE, Branch(S.WAIT)),
+    *_rows(E.MISALIGNED, OVER_PAD | {S.SINK}, *_NEXT_TRY),
+    *_rows(E.CONTACT, S.SINK, Branch(S.STAND)),
     # PX4 detects no landing on a moving pad, and its LAND mode brakes against the pad: the vehicle tilts
     # until it tips over. So LAND is requested only where nothing shows the feet down.
-    _row(E.LANDING_DETECTED, ON_PAD, Branch(None, (_DISARM,))),
-    _row(E.AT_REST, ON_PAD, Branch(None, (_FORCE_DISARM,))),
-    _row(
+    *_rows(E.LANDING_DETECTED, ON_PAD, Branch(None, (_DISARM,))),
+    *_rows(E.AT_REST, ON_PAD, Branch(None, (_FORCE_DISARM,))),
+    *_rows(
         E.UNPROVEN,
         ON_PAD,
         replace(_AUTO_LAND, guard=Guard.DISARM_NOT_ASKED),
         except_={S.AUTO_LAND: "LAND is asked for already"},
     ),
-    _row(E.PAD_GONE, S.SINK, _SET_DOWN),
-    _row(E.CONTACT, S.SET_DOWN, Branch(S.AUTO_LAND)),
-    _row(E.LANDING_DETECTED, S.SET_DOWN, Branch(S.AUTO_LAND, (_DISARM,))),
-    _row(E.OFF_PAD, S.STAND, *_NEXT_TRY),
+    *_rows(E.PAD_GONE, S.SINK, _SET_DOWN),
+    *_rows(E.CONTACT, S.SET_DOWN, Branch(S.AUTO_LAND)),
+    *_rows(E.LANDING_DETECTED, S.SET_DOWN, Branch(S.AUTO_LAND, (_DISARM,))),
+    *_rows(E.OFF_PAD, S.STAND, *_NEXT_TRY),
     # in LAND it comes down beside the pad, which is gentler than to fly again from there
-    _row(E.OFF_PAD, S.AUTO_LAND, _end(guard=Guard.LAND_GRANTED), *_NEXT_TRY),
+    *_rows(E.OFF_PAD, S.AUTO_LAND, _end(guard=Guard.LAND_GRANTED), *_NEXT_TRY),
     # ---- refused as often as it may be asked
     # if only the answer was lost it may be climbing: LAND is right in the air and on the ground; the DISARM,
     # refused in the air, ends it at once on the ground
-    _row(E.REFUSED, S.TAKE_OFF, _end(_LAND, _DISARM)),
+    *_rows(E.REFUSED, S.TAKE_OFF, _end(_LAND, _DISARM)),
     # not allowed to go: search from here, by the beacon
-    _row(E.REFUSED, S.WAYPOINT, Branch(S.SEARCH)),
-    _row(E.REFUSED, HOLDING | {S.ROUTE, S.SEARCH}, *_RETURN_CONTROL),
-    _row(E.REFUSED, OVER_PAD | {S.SINK}, _end(_LAND)),
+    *_rows(E.REFUSED, S.WAYPOINT, Branch(S.SEARCH)),
+    *_rows(E.REFUSED, HOLDING | {S.ROUTE, S.SEARCH}, *_RETURN_CONTROL),
+    *_rows(E.REFUSED, OVER_PAD | {S.SINK}, _end(_LAND)),
     # Nobody else turns the motors off: it stays, pressed down, and asks again.
-    _row(E.REFUSED, S.STAND, Branch(None, (_DISARM,))),
-    _row(E.REFUSED, {S.SET_DOWN, S.AUTO_LAND}, Branch(None, (_LAND,))),
+    *_rows(E.REFUSED, S.STAND, Branch(None, (_DISARM,))),
+    *_rows(E.REFUSED, {S.SET_DOWN, S.AUTO_LAND}, Branch(None, (_LAND,))),
     # ---- the time of a phase
-    _row(E.TIMEOUT, S.CONNECT, _GIVE_UP, except_={S.STANDBY: _WAITS_FOR_OPERATOR}),
-    _row(E.TIMEOUT, S.ARM, _end(_DISARM)),
-    _row(E.TIMEOUT, S.TAKE_OFF, _end(_LAND)),
-    _row(E.TIMEOUT, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
-    _row(E.TIMEOUT, S.APPROACH, _SEARCH_AGAIN),
-    _row(E.TIMEOUT, S.DESCEND, *_NEXT_TRY),
-    _row(E.TIMEOUT, OVER_PAD, *_HOLD_CLEAR),
-    _row(E.TIMEOUT, HOLDING | {S.SEARCH}, *_RETURN_CONTROL),
-    _row(E.CLEAR, S.HOLD, *_RETURN_CONTROL),
-    _row(E.TIMEOUT, S.SINK, _SET_DOWN),
-    _row(E.TIMEOUT, S.STAND, _AUTO_LAND),
+    *_rows(E.TIMEOUT, S.CONNECT, _GIVE_UP, except_={S.STANDBY: _WAITS_FOR_OPERATOR}),
+    *_rows(E.TIMEOUT, S.ARM, _end(_DISARM)),
+    *_rows(E.TIMEOUT, S.TAKE_OFF, _end(_LAND)),
+    *_rows(E.TIMEOUT, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
+    *_rows(E.TIMEOUT, S.APPROACH, _SEARCH_AGAIN),
+    *_rows(E.TIMEOUT, S.DESCEND, *_NEXT_TRY),
+    *_rows(E.TIMEOUT, OVER_PAD, *_HOLD_CLEAR),
+    *_rows(E.TIMEOUT, HOLDING | {S.SEARCH}, *_RETURN_CONTROL),
+    *_rows(E.CLEAR, S.HOLD, *_RETURN_CONTROL),
+    *_rows(E.TIMEOUT, S.SINK, _SET_DOWN),
+    *_rows(E.TIMEOUT, S.STAND, _AUTO_LAND),
     # without a link nothing arrives: its own failsafe has long taken it, and what then flies is not ours.
     # Where nothing has shown a contact, time alone cuts no thrust: it asks for LAND again.
-    _row(
+    *_rows(
         E.TIMEOUT,
         S.SET_DOWN,
         _end(guard=Guard.UNHEARD),
         Branch(None, (_LAND,), effects=(Effect.ASK_AFRESH,)),
     ),
-    _row(
+    *_rows(
         E.TIMEOUT,
         S.AUTO_LAND,
         _end(guard=Guard.UNHEARD),
         Branch(None, (_LAND, _DISARM), effects=(Effect.ASK_AFRESH,)),
     ),
     # ---- anywhere
-    _row(
+    *_rows(
         E.BATTERY_CRITICAL,
-        IN_AIR - COMMITTED - OVER_PAD_OR_DESCENDING - {S.HOLD},
+        IN_AIR - OVER_PAD_OR_DESCENDING,
         *_RETURN_CONTROL,
-        except_={
-            **_all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED),
-            S.HOLD: _CLEARS,
-            S.ARM: "the autopilot's own checks decide",
-            **_GO_ON,
-        },
+        except_={**_UNASKED, S.ARM: "the autopilot's own checks decide", S.HOLD: _CLEARS, **_GO_ON},
     ),
-    _row(E.BATTERY_CRITICAL, OVER_PAD_OR_DESCENDING, Branch(None, guard=Guard.MAY_FINISH), *_HOLD_CLEAR),
+    *_rows(E.BATTERY_CRITICAL, OVER_PAD_OR_DESCENDING, Branch(None, guard=Guard.MAY_FINISH), *_HOLD_CLEAR),
     # the hold brakes at once, within the room that a bound leaves, and climbs no higher than the ceiling
-    *(_row(event, OVER_PAD_OR_DESCENDING, *_HOLD_CLEAR) for event in OUTSIDE),
-    *(
-        _row(
-            event,
-            IN_AIR - COMMITTED - OVER_PAD_OR_DESCENDING - {S.HOLD},
-            *_RETURN_CONTROL,
-            except_={**_all(BEFORE_TAKE_OFF, _NOT_YET), S.HOLD: _CLEARS, **_GO_ON},
-        )
-        for event in OUTSIDE
+    *_rows((*OUTSIDE, *UNFOLLOWED, E.STOP), OVER_PAD_OR_DESCENDING, *_HOLD_CLEAR),
+    *_rows(
+        OUTSIDE,
+        IN_AIR - OVER_PAD_OR_DESCENDING,
+        *_RETURN_CONTROL,
+        except_={**_EARLY, S.HOLD: _CLEARS, **_GO_ON},
     ),
-    *(_row(event, OVER_PAD_OR_DESCENDING, *_HOLD_CLEAR) for event in UNFOLLOWED),
-    *(
-        _row(
-            event,
-            S.APPROACH,
-            *_RETURN_CONTROL,
-            except_={**_all(LIVE - BY_THE_PAD, "it does not follow the pad"), **_GO_ON},
-        )
-        for event in UNFOLLOWED
+    *_rows(
+        UNFOLLOWED,
+        S.APPROACH,
+        *_RETURN_CONTROL,
+        except_={**_all(LIVE - BY_THE_PAD, "it does not follow the pad"), **_GO_ON},
     ),
-    _row(
+    *_rows(
         E.BATTERY_LOW,
         LIVE - {S.STANDBY, S.CONNECT},
         Branch(None, effects=(Effect.NO_NEW_TRY,)),
-        except_=_all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED),
+        except_=_UNASKED,
     ),
-    _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
-    _row(E.STOP, OVER_PAD_OR_DESCENDING, *_HOLD_CLEAR),
-    _row(
+    *_rows(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
+    *_rows(
         E.SUSPENDED,
         S.CONNECT,
         _GIVE_UP,
-        except_={
-            S.STANDBY: _WAITS_FOR_OPERATOR,
-            **_all(OVER_PAD_OR_DESCENDING, _LOST_WITH_IT),
-        },
+        except_={S.STANDBY: _WAITS_FOR_OPERATOR, **_all(OVER_PAD_OR_DESCENDING, _LOST_WITH_IT)},
     ),
-    *(_row(event, S.ARM, _end(_DISARM)) for event in (E.STOP, E.SUSPENDED)),
-    *(
-        _row(event, IN_AIR - OVER_PAD_OR_DESCENDING, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **goes_on})
-        for event, goes_on in ((E.STOP, _GO_ON), (E.SUSPENDED, {**_GO_ON, S.SINK: _LOST_WITH_IT}))
+    *_rows((E.STOP, E.SUSPENDED), S.ARM, _end(_DISARM)),
+    *_rows(E.STOP, IN_AIR - OVER_PAD_OR_DESCENDING, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON}),
+    *_rows(
+        E.SUSPENDED,
+        IN_AIR - OVER_PAD_OR_DESCENDING,
+        *_RETURN_CONTROL,
+        except_={S.HOLD: _CLEARS, **_GO_ON, S.SINK: _LOST_WITH_IT},
     ),
-    _row(
+    *_rows(
         E.TAKEN_OVER,
         LIVE,
         _CONTROL_LOST,
         except_={S.STANDBY: _WAITS_FOR_OPERATOR, S.CONNECT: _NOTHING_ASKED},
     ),
     # a hold or a landing that is still asked for would take the vehicle from whoever has it now
-    _row(E.TAKEN_OVER, S.ABORT, Branch(None, effects=(Effect.ASK_NOTHING,))),
+    *_rows(E.TAKEN_OVER, S.ABORT, Branch(None, effects=(Effect.ASK_NOTHING,))),
     # The motors of a vehicle on its side drag it over the ground, and no landing is detected there. It is
     # asked again as long as it lies there. Setpoints without thrust go on, or PX4 would change its mode.
-    _row(
+    *_rows(
         E.TIPPED_OVER,
         IN_AIR,
         _NEVER_OURS,
         Branch(None, (_FORCE_DISARM,)),
-        except_=_all(BEFORE_TAKE_OFF, _NOT_YET),
+        except_=_EARLY,
     ),
-    _row(
+    *_rows(
         E.DISARMED,
         IN_AIR - ON_PAD - {S.SET_DOWN},
         *(_LEAVE_OFFBOARD, _CONTROL_LOST),
-        except_=_all(BEFORE_TAKE_OFF, _NOT_YET),
+        except_=_EARLY,
     ),
-    _row(
+    *_rows(
         E.DISARMED,
         ON_PAD | {S.SET_DOWN},
         replace(_CONTROL_LOST, guard=Guard.NOT_STANDING),
         *(replace(branch, to=S.LANDED) for branch in (_LEAVE_OFFBOARD, _CONTROL_LOST)),
     ),
-    _row(
+    *_rows(
         E.LINK_LOST,
         IN_AIR,
         _NEVER_OURS,
         Branch(S.AWAIT_LINK),
-        except_={**_all(BEFORE_TAKE_OFF, _NOT_YET), **_all(HOLDING, "it holds already"), **_GO_ON},
+        except_={**_EARLY, **_all(HOLDING, "it holds already"), **_GO_ON},
     ),
-    _row(
+    *_rows(
         E.LINK_UP,
         S.AWAIT_LINK,
         Branch(S.SEARCH, guard=Guard.CONTROL_OURS),
@@ -316,39 +308,25 @@ ROWS: Final = (
     # the greater danger than the autopilot's own hold there.
     # Of two that command it nobody knows what it will do: its own hold obeys neither. To rise first ArduPilot
     # would stay in GUIDED, in which it obeys the other.
-    *(
-        _row(
-            event,
-            IN_AIR - COMMITTED - BY_AUTOPILOT,
-            *(branch for branch in _RETURN_CONTROL if event in LATE or branch is not _RISE),
-            except_={**_all(BEFORE_TAKE_OFF, _NOT_YET), **_all(BY_AUTOPILOT, _FLIES_ITSELF), **_GO_ON},
-        )
-        for event in (*LATE, E.RIVAL)
+    *_rows(LATE, IN_AIR, *_RETURN_CONTROL, except_={**_EARLY, **_BY_ITSELF, **_GO_ON}),
+    *_rows(
+        E.RIVAL,
+        IN_AIR,
+        *(branch for branch in _RETURN_CONTROL if branch is not _RISE),
+        except_={**_EARLY, **_BY_ITSELF, **_GO_ON},
     ),
-    *(
-        _row(
-            event,
-            IN_AIR - {S.SINK},
-            *_RETURN_CONTROL,
-            except_={
-                **_all(BEFORE_TAKE_OFF, _NOT_YET),
-                **_all(BY_AUTOPILOT, _FLIES_ITSELF),
-                S.SET_DOWN: _LANDS,
-                **_all(ON_PAD, _STANDS),
-            },
-        )
-        for event in NO_OWN_MOTION
+    *_rows(
+        NO_OWN_MOTION,
+        IN_AIR - {S.SINK},
+        *_RETURN_CONTROL,
+        except_={**_EARLY, **_BY_ITSELF, S.SET_DOWN: _LANDS, **_all(ON_PAD, _STANDS)},
     ),
-    *(_row(event, S.SINK, Branch(S.STAND, guard=Guard.FEET_DOWN), _SET_DOWN) for event in NO_OWN_MOTION),
-    _row(
+    *_rows(NO_OWN_MOTION, S.SINK, Branch(S.STAND, guard=Guard.FEET_DOWN), _SET_DOWN),
+    *_rows(
         E.VELOCITY_UNCERTAIN,
         IN_AIR,
         *_RETURN_CONTROL,
-        except_={
-            **_all(BEFORE_TAKE_OFF, _NOT_YET),
-            **_all(BY_AUTOPILOT, _FLIES_ITSELF),
-            **_all(BY_THE_PAD, "over the pad the camera tells"),
-        },
+        except_={**_EARLY, **_BY_ITSELF, **_all(BY_THE_PAD, "over the pad the camera tells")},
     ),
 )
 
