@@ -3,13 +3,9 @@
 EKF's NED, m, s.
 """
 
-from typing import Final
-
 from companion.base.geometry import Vector3, add, norm, scale, subtract
 from companion.base.messages import VehicleState
-
-# No error of its speed explains that a vehicle went so far between two cycles.
-_STEP_M: Final = 0.8
+from companion.plan.trajectory.reference_generator import RESET_DISTANCE_M
 
 
 class EstimateSteps:
@@ -20,7 +16,7 @@ class EstimateSteps:
         self.step_m: Vector3 | None = None
 
     def update(self, vehicle: VehicleState | None) -> None:
-        """Take in a cycle: what the velocity does not explain is a step."""
+        """Take in a cycle: what the velocity does not explain is a step, where it leads off the reference."""
         before, self.step_m = self._before, None
         if vehicle is None:
             return
@@ -30,4 +26,4 @@ class EstimateSteps:
         half_s = 0.5 * (vehicle.time_s - before.time_s)
         flown_m = scale(add(before.velocity_ned_m_s, vehicle.velocity_ned_m_s), half_s)
         step_m = subtract(subtract(vehicle.position_ned_m, before.position_ned_m), flown_m)
-        self.step_m = step_m if norm(step_m) > _STEP_M else None
+        self.step_m = step_m if norm(step_m) > RESET_DISTANCE_M else None

@@ -1,14 +1,15 @@
 """The events of a mission, as the monitors, the search and the landing detect them, with their reasons.
 
-Beside them the form in which parts of the planner announce something: kind, text, time and severity.
+Beside them what the parts of the planner announce by: `Announcements`.
 """
 
-from collections.abc import Callable
+import math
 from enum import StrEnum
 from typing import Final, Literal
 
+from companion.base.messages import Notice
+
 NoticeSeverity = Literal["info", "warning", "error"]
-NoticeSink = Callable[[str, str, float, NoticeSeverity], None]
 
 NOTICE_THRESHOLD_M: Final = 0.2  # a climb that is announced
 
@@ -71,3 +72,45 @@ class MissionEvent(StrEnum):
 
 # what is detected, and why
 DetectedEvent = tuple[MissionEvent, str]
+
+
+_NEVER: Final = (-math.inf, "")
+
+
+class Announcements:
+    """Call it to announce something in this cycle; `drain` gives what was announced since the last."""
+
+    def __init__(self) -> None:
+        self._said: list[Notice] = []
+        self._last: dict[str, tuple[float, str]] = {}  # when, and what kind, something of this was last
+
+    def __call__(self, kind: str, text: str, now_s: float, severity: NoticeSeverity = "info") -> None:
+        """Announce it."""
+        self._said.append(Notice(now_s, kind, text, severity))
+
+    def once(self, of: str, kind: str, text: str, now_s: float) -> None:
+        """Warn of it the first time only."""
+        if of not in self._last:
+            self._last[of] = now_s, kind
+            self(kind, text, now_s, "warning")
+
+    def again(self, kind: str, text: str, now_s: float, after_s: float) -> None:
+        """Say it, but not in every cycle: no sooner than so long after the last of its kind."""
+        if now_s - self._last.get(kind, _NEVER)[0] >= after_s:
+            self._last[kind] = now_s, kind
+            self(kind, text, now_s)
+
+    def change(
+        self, of: str, kind: str, text: str, now_s: float, after_s: float, severity: NoticeSeverity
+    ) -> None:
+        """Say it if the last of this was of another kind, and so long ago; the first is taken as known."""
+        last_s, last = self._last.setdefault(of, (-math.inf, kind))
+        if kind != last and now_s - last_s >= after_s:
+            self._last[of] = now_s, kind
+            self(kind, text, now_s, severity)
+
+    def drain(self) -> tuple[Notice, ...]:
+        """What was announced since the last time."""
+        said = tuple(self._said)
+        self._said.clear()
+        return said

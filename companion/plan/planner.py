@@ -17,15 +17,14 @@ from companion.base.messages import (
     AutopilotState,
     Conditions,
     LandedState,
-    Notice,
     Phase,
     PlanStep,
     Refusal,
 )
 from companion.config import PlanConfig, VehicleConfig
-from companion.plan.events import DetectedEvent, MissionEvent, NoticeSeverity
+from companion.plan.events import Announcements, DetectedEvent, MissionEvent, NoticeSeverity
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.contact import not_standing
+from companion.plan.landing.contact import KNOWN_S, not_standing
 from companion.plan.landing.height_above_ground import EchoCheck, HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack
 from companion.plan.landing.standing_height import StandingHeight
@@ -50,7 +49,6 @@ from companion.plan.steering import PhaseSteering
 from companion.plan.trajectory.reference_generator import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
 
-SIGHTINGS_GAP_S: Final = 0.5  # between two of the `search.sightings`: the pad was out of view
 PACED: Final = frozenset({Phase.APPROACH, Phase.DESCEND})  # flown at the pace of the conditions
 NEAR_M: Final = 1.0  # lower, the autopilot's hold, good to 0.5 m, may drift onto what is below
 GAP_S: Final = 10.0  # a link that is silent for longer has gone for good
@@ -96,12 +94,11 @@ class Planner:
         self._vehicle, self._pad_reach_m = vehicle, pad_reach_m
         search = config.search
         self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
-        self._notices: list[Notice] = []
+        self._say = Announcements()
         self._heard_s = -math.inf
-        self._warned = set[str]()
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
-        self._pad = PadTrack(search.sightings, SIGHTINGS_GAP_S)
+        self._pad = PadTrack(search.sightings, KNOWN_S)
         self._ground, self._echoes = HeightAboveGround(vehicle.range_position_body_m), EchoCheck()
         self._standing_height = standing_height or StandingHeight(vehicle)
         avoidance = Avoidance(config, vehicle.radius_m)
@@ -163,7 +160,6 @@ class Planner:
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
-        self._notices = []
         self._standing_height.update(inputs, now_s)
         inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
@@ -178,7 +174,7 @@ class Planner:
             phase=self.phase,
             reference=self._steering.reference(now_s),
             actions=self._requests.due(now_s),
-            notices=tuple(self._notices),
+            notices=self._say.drain(),
             speed_m_s=self._generator.speed_m_s,
             time_to_go_s=self._generator.time_to_go_s,
             on_ground=self._steering.presses_down or (self._monitor.lies and self._generator.active),
@@ -242,7 +238,7 @@ class Planner:
         distance_m, fence_m = math.hypot(north, east), self._mission.fence_m
         if distance_m > fence_m:
             words = f"pad beacon ignored: {distance_m:.0f} m from home, fence {fence_m:.0f} m"
-            self._warn_once("beacon", "fence", words, beacon.time_s)
+            self._say.once("beacon", "fence", words, beacon.time_s)
         return distance_m <= fence_m
 
     def _react(self, inputs: PlanInputs, now_s: float) -> None:
@@ -339,7 +335,7 @@ class Planner:
         if branch is None:
             if event is MissionEvent.COMMIT:
                 words = f"waiting: the pad leaves the fence ({self._mission.fence_m:.0f} m) before contact"
-                self._warn_once(event, "fence", words, now_s)
+                self._say.once(event, "fence", words, now_s)
             return
         if impossible(state, event):
             self._say("unexpected", f"{event.value} in {state.value}: holding", now_s, "error")
@@ -352,7 +348,7 @@ class Planner:
             self._steering.enter(branch, state, had, inputs, now_s)
         self._carry_out(branch, reason, inputs, now_s)
         if event is MissionEvent.TIPPED_OVER and machine.state is state:
-            self._warn_once(event, "tipped_over", f"tipped over: {reason}: motors off requested", now_s)
+            self._say.once(event, "tipped_over", f"tipped over: {reason}: motors off requested", now_s)
         for action in branch.actions:
             self._requests.ask(self._steering.departure.with_numbers(action, inputs.autopilot), now_s)
 
@@ -373,7 +369,7 @@ class Planner:
         if Effect.SEARCH_FROM_HERE in branch.effects:
             self._steering.search_from_here(inputs, now_s)
         if Effect.NO_NEW_TRY in branch.effects:
-            self._warn_once(Effect.NO_NEW_TRY, "battery", f"battery low: {reason}, no new try", now_s)
+            self._say.once(Effect.NO_NEW_TRY, "battery", f"battery low: {reason}, no new try", now_s)
 
     def _tell(self, before: State, event: MissionEvent, reason: str, now_s: float) -> None:
         """Announce a change of phase, and those within the touchdown that matter."""
@@ -390,11 +386,3 @@ class Planner:
             self._say("contact", f"{where}: {reason}", now_s)
         elif self._machine.state is State.SET_DOWN:
             self._say("set_down", f"{reason}: landing in LAND mode", now_s, "warning")
-
-    def _warn_once(self, of: str, kind: str, text: str, now_s: float) -> None:
-        if of not in self._warned:
-            self._warned.add(of)
-            self._say(kind, text, now_s, "warning")
-
-    def _say(self, kind: str, text: str, now_s: float, severity: NoticeSeverity = "info") -> None:
-        self._notices.append(Notice(now_s, kind, text, severity))

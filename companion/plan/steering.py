@@ -23,8 +23,9 @@ from companion.base.messages import (
 )
 from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
+from companion.plan.debounce import Debounce
 from companion.plan.estimate_steps import EstimateSteps
-from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent, NoticeSink
+from companion.plan.events import NOTICE_THRESHOLD_M, Announcements, DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.approach_descent import Landing
 from companion.plan.landing.contact import AWAY_M, KNOWN_S, WITHIN_HAND_M, echo_height_m
@@ -32,7 +33,7 @@ from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.touchdown import TouchdownSequence
-from companion.plan.mission.departure import Departure
+from companion.plan.mission.departure import REMIND_S, Departure
 from companion.plan.mission.hold import Hold
 from companion.plan.mission.readiness import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
@@ -45,7 +46,6 @@ from companion.plan.mission.table import (
     OVER_PAD_OR_DESCENDING,
     StateMachine,
 )
-from companion.plan.obstacles.avoidance import ObstacleMonitor
 from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
@@ -100,7 +100,7 @@ class PhaseSteering:
         pad: PadTrack,
         ground: HeightAboveGround,
         requests: Requests,
-        say: NoticeSink,
+        say: Announcements,
         pad_half_width_m: float,
         standby: str | None,
         standing_height: StandingHeight,
@@ -111,7 +111,7 @@ class PhaseSteering:
         self._pad_half_width_m = pad_half_width_m
         self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
         self._requests, self._say = requests, say
-        self._obstacle_monitor, self.steps = ObstacleMonitor(generator.avoidance, say), EstimateSteps()
+        self.steps = EstimateSteps()
         self._waypoints = Waypoints(config.mission, generator)
         self.departure = Departure(
             config.mission,
@@ -122,7 +122,8 @@ class PhaseSteering:
             say=say,
         )
         self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
-        self._landing = Landing(config.landing, vehicle, generator)
+        self._new_approach = partial(Landing, config.landing, vehicle, generator, say)
+        self._landing = self._new_approach(0.0, 0.0)
         self._new_try = partial(
             TouchdownSequence,
             config.touchdown,
@@ -132,8 +133,8 @@ class PhaseSteering:
             pad_half_width_m,
         )
         self.touchdown = self._new_try(0.0)
-        self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
-        self._begun_s, self._contradicted_s = 0.0, -math.inf
+        self._hold = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
+        self._contradicted_s, self._held = -math.inf, Debounce()
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
             Phase.STANDBY: self._stand_by,
             Phase.CONNECT: self._depart,
@@ -145,8 +146,8 @@ class PhaseSteering:
             Phase.APPROACH: self._come_in,
             Phase.DESCEND: self._come_in,
             Phase.TOUCHDOWN: self._touch_down,
-            Phase.HOLD: self._hold,
-            Phase.ABORT: self._hold,
+            Phase.HOLD: self._stay,
+            Phase.ABORT: self._stay,
             Phase.LANDED: self._end,
         }
 
@@ -177,7 +178,7 @@ class PhaseSteering:
         """Steer the reference for this cycle; returns what is detected."""
         self.refused = None
         event = self._steered_by[self._machine.phase](inputs, now_s)
-        self._obstacle_monitor.tell(now_s)
+        self._generator.avoidance.tell(self._say, now_s)
         return event
 
     def reference(self, now_s: float) -> Reference | None:
@@ -226,8 +227,8 @@ class PhaseSteering:
         if inputs.vehicle is None:
             return  # ESTIMATE_LOST ends this in the next cycle
         self._generator.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
-        self._begun_s = now_s
-        self._held.stand_still(inputs.vehicle, now_s)
+        self._held.end("streams")
+        self._hold.stand_still(inputs.vehicle, now_s)
         self._waypoints.begin(with_first=previous is State.TAKE_OFF)
 
     def _enter_search(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
@@ -235,7 +236,7 @@ class PhaseSteering:
             return  # ESTIMATE_LOST ends this in the next cycle
         if not self._generator.active:
             self._generator.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
-        self._held.stand_still(inputs.vehicle, now_s)
+        self._hold.stand_still(inputs.vehicle, now_s)
         missing_m = 0.0 if previous in {State.WAYPOINT, State.ROUTE} else self._missing_m()
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
         if climb_m > NOTICE_THRESHOLD_M and previous is not State.STANDBY:
@@ -262,7 +263,7 @@ class PhaseSteering:
         if self._pad.motion is not None:
             self._generator.change_frame("pad", self._pad.motion, now_s)
         again = previous in BY_THE_PAD
-        self._landing.begin(-self._generator.at(now_s).position_m[2], again, now_s)
+        self._landing = self._new_approach(-self._generator.at(now_s).position_m[2], now_s, again=again)
         if again:
             height_m = self._landing.goal_m - self._vehicle.leg_height_m
             self._say("climb", f"back to {height_m:.1f} m over the pad to try again", now_s, "warning")
@@ -272,20 +273,20 @@ class PhaseSteering:
         flown = had is Authority.OURS or (had is Authority.RELEASED and self._generator.active)
         if not flown or not inputs.autopilot.armed or inputs.vehicle is None:
             self._generator.stop()
-            self._held.end()
+            self._hold.end()
             return
         low = self._machine.phase is Phase.HOLD and previous in BY_THE_PAD - {State.APPROACH}
         if low and self.touchdown.leaving(now_s):
-            self._held.end()  # it leaves the pad first, level; `_hold` begins it
+            self._hold.end()  # it leaves the pad first, level; `_stay` begins it
             return
-        self._held.begin(inputs.vehicle, now_s, over_pad=low)
+        self._hold.begin(inputs.vehicle, now_s, over_pad=low)
 
     # ------------------------------------------------------------ the phases
 
     def _stand_by(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Wait for an order; standby with a reason follows none, and says so again and again."""
         if self._standby:
-            self.departure.remind("standby", f"standby: {self._standby}", now_s)
+            self._say.again("standby", f"standby: {self._standby}", now_s, REMIND_S)
         if inputs.order is None:
             return None
         locked = Refusal(self._standby, lasting=True) if self._standby else None
@@ -308,7 +309,7 @@ class PhaseSteering:
         self._keep_near(actual, now_s)
         if not self._machine.in_control:
             # PX4 switches to offboard only while setpoints stream
-            streamed_s = now_s - self._begun_s
+            streamed_s = self._held.held_s("streams", True, now_s)
             return _STREAMING if streamed_s >= self._config.search.stream_s else None
         return self._waypoints.step(actual, home_ned_m, now_s)
 
@@ -345,12 +346,10 @@ class PhaseSteering:
             self.touchdown.leave(inputs, self._pad.sight, now_s)
             return None
         self._keep_near_pad(inputs, now_s)
-        fly = self._landing.approach if self._machine.state is State.APPROACH else self._landing.descend
-        event = fly(self._pad, self.search.locator.likely(now_s), self._lowest_down_m(), now_s)
+        likely, descends = self.search.locator.likely(now_s), self._machine.state is State.DESCEND
+        event = self._landing.step(self._pad, likely, self._lowest_down_m(), now_s, descends=descends)
         if self._pad.sight is not None and self.search.ask_again(self._pad.sight.age_s, now_s):
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
-        if self._landing.climbs:
-            self._say("climb", f"climbing {self._landing.climbs}", now_s, "warning")
         return event
 
     def _ground_near(self, now_s: float) -> DetectedEvent | None:
@@ -381,13 +380,13 @@ class PhaseSteering:
                 self._say("heading", words, now_s, "warning")
         return event
 
-    def _hold(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+    def _stay(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         if self.touchdown.leaving(now_s):
             self.touchdown.leave(inputs, self._pad.sight, now_s)
             return None
-        if not self._held.begun and self._generator.active and inputs.vehicle is not None:
-            self._held.begin(inputs.vehicle, now_s, over_pad=True)
-        at_rest = self._held.step(inputs.vehicle, self.steps.step_m, now_s)
+        if not self._hold.begun and self._generator.active and inputs.vehicle is not None:
+            self._hold.begin(inputs.vehicle, now_s, over_pad=True)
+        at_rest = self._hold.step(inputs.vehicle, self.steps.step_m, now_s)
         self._end(inputs, now_s)
         # what has been released already, or waits for the link, ends otherwise
         ours = self._machine.state is State.HOLD and self._machine.authority is Authority.OURS

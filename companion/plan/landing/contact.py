@@ -25,32 +25,26 @@ from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import LONGEST_CYCLE_S, PlanInputs
 
 FRESH_S = 0.3  # of IMU and echoes
+RESPONDS_S: Final = 0.2  # from a decision until the vehicle tilts: command, dead time, the gate of jerk
 UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every frame
-# An age counts from the exposure, and vision may take 0.2 s of it. So old the pad is off its predicted place
-# by 0.4 m at most, at a pad that brakes with 3 m/s²; older it is no sign.
-KNOWN_S = 0.5
+# What is older is no sign, and no estimate to fly by. A pad's age counts from the exposure, and vision may
+# take 0.2 s of it: so old the pad is off its predicted place by 0.4 m at most, if it brakes with 3 m/s².
+KNOWN_S: Final = 0.5
 # Held up so far it has stopped, but for what the other feet still come down: a third of the sink asked for.
 _STALLED: Final = 1.0 / 3.0
 # Over the standing height that the file says, the feet may stand: legs may be longer than that.
 WITHIN_HAND_M: Final = 0.1
-# A pad this far below the feet is not under them: a bounce, a soft pad and an echo's error are less. For so
-# long it has driven away or fallen: a bounce is shorter.
+# A pad this far below the feet is not under them: a bounce, a soft pad and an echo's error are less.
 AWAY_M = 0.25
-_AWAY_S = 0.3
-_ARRIVES_S = 0.3
-# The camera sees a millimetre: from half of `contact_margin_m` it falls with 0.4 m/s, from 3 cm with 0.8.
-_LIFTED_SHARE = 0.5
+_BOUNCES_S = 0.3  # a bounce is shorter; so long after the contact the feet may slide
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
-FALLS_S: Final = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
-# Without the IMU rest has to last so much longer: nothing stays up without thrust for that long.
-_UNFELT_S = 2.0
-# Where nothing shows the feet down, for so long and so long after the contact: no landing is proven.
-_UNSHOWN_S = 2.0
-_UNSHOWN_AFTER_S = 4.0
+BUMP_S: Final = 0.15  # a bump of the pad is over sooner, or a spike of an echo; a fall is 11 cm by then
+# Nothing stays up without thrust for so long: rest lasts so much longer without the IMU; and what nothing has
+# shown down for so long, and as long again since the contact, is not proven to have landed.
+_UNPROVEN_S = 2.0
 # Tilting more than this it is not about to stand, whatever is near.
 _MOST_FOOT_TILT_RAD = math.radians(15.0)
-_STANDS_S = FRESH_S  # at the slowest sink echoes would shorten by four times their noise
 _ATTITUDE_FRESH_S: Final = 1.0
 # No deck that is landed on tilts so far (24 deg is refused for a ship's), and legs that stand do not either.
 _UPRIGHT_RAD: Final = math.radians(30.0)
@@ -194,7 +188,7 @@ class ShortEchoes:
     def note(self, echo: RangeSample | None) -> None:
         """Take the newest echo, if it is short; None breaks the row."""
         if echo is None:
-            self._row = []
+            self._row.clear()
         elif not self._row or echo.time_s > self._row[-1].time_s:
             self._row.append(echo)
 
@@ -203,7 +197,8 @@ class ShortEchoes:
         if not self._row or now_s - self._row[-1].time_s > FRESH_S:
             return False
         newest = self._row[-1]
-        before = [echo for echo in self._row if newest.time_s - echo.time_s >= _STANDS_S]
+        # within it they would shorten by four times their noise at the slowest sink
+        before = [echo for echo in self._row if newest.time_s - echo.time_s >= FRESH_S]
         if not before:
             return False
         lasted_s = newest.time_s - before[-1].time_s
@@ -221,18 +216,17 @@ class LandDetector:
         felt_m = 0.0 if sight is None or sight.age_s > KNOWN_S else sight.height_m
         self._stood_m = max(self._vehicle.leg_height_m, felt_m)
         self._feet_m = self._stood_m + self._config.contact_margin_m
-        self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
-        self._able, self._risen = Debounce(), Debounce()
-        self.doubted = self.unconfirmed = False
+        self._held = Debounce()
+        self.doubted = False
 
     def arrives(self, now_s: float) -> bool:
         """Whether the contact is so recent that the feet may still slide."""
-        return now_s - self._since_s <= _ARRIVES_S
+        return now_s - self._since_s <= _BOUNCES_S
 
     def off_pad(self, sight: PadState, now_s: float) -> bool:
         """Whether the pad is seen well below the feet."""
         away = sight.unseen_s <= UNSEEN_S and sight.height_m > self._vehicle.leg_height_m + AWAY_M
-        return self._away.held_s(away, now_s) >= _AWAY_S
+        return self._held.held_s("away", away, now_s) >= _BOUNCES_S
 
     def off_by_itself(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
         """Why it is not on the pad, though we had it pressed down; "" while it may be. Once a cycle.
@@ -243,20 +237,20 @@ class LandDetector:
         echo tells a hand's breadth over it from standing on it no better than the leg height is known.
         While the IMU is silent too (it may come by the same link), an unseen pad does not show that it left.
         """
-        able = self._able.held_s(imu_fresh(inputs.vehicle, now_s), now_s) >= FRESH_S
+        able = self._held.held_s("able", imu_fresh(inputs.vehicle, now_s), now_s) >= FRESH_S
         landed = inputs.autopilot.landed is LandedState.ON_GROUND
         self.doubted = not landed and (self.doubted or inputs.link.silent)
         seen = sight if sight is not None and sight.unseen_s <= UNSEEN_S else None
-        self.unconfirmed = self.doubted and seen is None
         if not self.doubted:
             self._stood_m = self._stood_m if seen is None else min(seen.clearance_m, self._feet_m)
             return ""
         if seen is None:
             return "link silent, contact not confirmed" if able else ""
         surely_m = seen.clearance_m - SIGMA_THRESHOLD * seen.height_std_m
-        risen = surely_m > self._stood_m + _LIFTED_SHARE * self._config.contact_margin_m
-        # in one sighting more
-        return "link silent: the vehicle left the pad" if self._risen.held_s(risen, now_s) > 0.0 else ""
+        # the camera sees a millimetre: from half the margin it falls with 0.4 m/s, from 3 cm with 0.8
+        risen = surely_m > self._stood_m + 0.5 * self._config.contact_margin_m
+        again = self._held.held_s("risen", risen, now_s) > 0.0  # in one sighting more
+        return "link silent: the vehicle left the pad" if again else ""
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Detect a landing: by the autopilot, by rest on the pad, or that nothing proves it."""
@@ -268,8 +262,8 @@ class LandDetector:
         if rested_s >= self._config.land_after_s:
             self.doubted = False
             return MissionEvent.AT_REST, f"for {rested_s:.1f} s on the pad"
-        unshown_s = self._unshown.held_s(not down, now_s)
-        if unshown_s >= _UNSHOWN_S and now_s - self._since_s >= _UNSHOWN_AFTER_S:
+        unshown_s = self._held.held_s("unshown", not down, now_s)
+        if unshown_s >= _UNPROVEN_S and now_s - self._since_s >= 2.0 * _UNPROVEN_S:
             return MissionEvent.UNPROVEN, f"contact not confirmed for {unshown_s:.1f} s"
         return None
 
@@ -285,9 +279,9 @@ class LandDetector:
         silent IMU feels no fall: then it has to be shown down for longer.
         """
         silent = not imu_fresh(vehicle, now_s)
-        falls = self._falling.held_s(accelerates(vehicle) and not silent, now_s) >= FALLS_S
-        rested_s = self._resting.held_s(down and not falls, now_s)
-        return rested_s - _UNFELT_S if silent else rested_s
+        falls = self._held.held_s("falls", accelerates(vehicle) and not silent, now_s) >= BUMP_S
+        rested_s = self._held.held_s("rests", down and not falls, now_s)
+        return rested_s - _UNPROVEN_S if silent else rested_s
 
 
 def not_standing(

@@ -15,16 +15,15 @@ from typing import Final
 
 from companion.base.geometry import Vector3, quat_rotate
 from companion.base.messages import AutopilotState, RangeSample, VehicleState
+from companion.plan.landing.contact import KNOWN_S
 
 # One echo in a hundred is a spike: so many in a row have to agree.
 _ECHOES: Final = 3
-_SPREAD_M: Final = 0.3
-_FRESH_S: Final = 0.5
+_AGREE_M: Final = 0.3
 NEAR_ECHO_M: Final = 1.5  # an echo this near, and the pad thought to lie
 _LOWER_M: Final = 0.8  # so much lower: what is below is not the pad
 # The others have moved so far, and alike, within so long, and the echo has not: nothing is there.
 _MOVED_M: Final = 0.5
-_ALIKE_M: Final = 0.3
 _WITHIN_S: Final = 5.0
 _STILL_M: Final = 0.1
 
@@ -85,9 +84,9 @@ class HeightAboveGround:
 
     def _over_surface_m(self, vehicle: VehicleState, now_s: float) -> float | None:
         distances = [e.distance_m for e in self._echoes]
-        if len(distances) < _ECHOES or now_s - self._echoes[0].time_s > _FRESH_S:
+        if len(distances) < _ECHOES or now_s - self._echoes[0].time_s > KNOWN_S:
             return None
-        if max(distances) - min(distances) > _SPREAD_M:
+        if max(distances) - min(distances) > _AGREE_M:
             return None
         x, y, z = self._sensor_m
         return quat_rotate(vehicle.attitude, (x, y, z + median(distances)))[2]
@@ -132,7 +131,7 @@ class EchoCheck:
         if abs(moved_m) > _STILL_M or echo_m > NEAR_ECHO_M:
             self.stuck, self._from = False, (now_s, echo_m, ours_m, theirs_m)
             return False
-        alike = abs(ours_moved_m - theirs_moved_m) <= _ALIKE_M
+        alike = abs(ours_moved_m - theirs_moved_m) <= _AGREE_M
         found = alike and min(abs(ours_moved_m), abs(theirs_moved_m)) >= _MOVED_M and not self.stuck
         self.stuck = self.stuck or found
         self._from = start

@@ -21,12 +21,9 @@ from typing import Final
 from companion.base.geometry import GRAVITY_M_S2, Quaternion, horizontal_acceleration, tilt_from_quat
 from companion.base.messages import LevelOff, PadState
 from companion.config import TouchdownConfig, VehicleConfig
-from companion.plan.landing.contact import UNSEEN_S
+from companion.plan.landing.contact import RESPONDS_S, UNSEEN_S
 
-# From the decision to level off until the tilt has begun to fall (command, dead time, the gate of jerk), and
-# how fast it then falls.
-TILTS_ON_S: Final = 0.2
-LEVELS_M_S3: Final = 8.0
+LEVELS_M_S3: Final = 8.0  # how fast the tilt falls, `RESPONDS_S` after the decision to level off
 # The attitude stays level for so long after the contact was due.
 AFTER_S: Final = 0.11
 # Beside the leg height's own: the pose, and a sink that wind and ground effect change by 0.05 m/s in 0.3 s
@@ -74,14 +71,13 @@ class TiltPrediction:
     def __init__(self) -> None:
         self.tilt_rad = 0.0
         # complex: north + i east
-        self._lasting_m_s2, self._with_pad_m_s2, self._turn_rad_s = 0j, 0j, 0.0
+        self._lasting_m_s2 = 0j
+        self._sight: PadState | None = None
         self._noted_s: float | None = None
 
     def note(self, attitude: Quaternion, sight: PadState | None, now_s: float) -> None:
         """Take in the vehicle's attitude; an unseen pad goes on as it did."""
-        if sight is not None:
-            self._with_pad_m_s2 = complex(*sight.acceleration_ned_m_s2[:2])
-            self._turn_rad_s = sight.turn_rate_rad_s
+        self._sight = sight or self._sight
         self.tilt_rad = tilt_from_quat(attitude)
         lasting = complex(*horizontal_acceleration(attitude)) - self._with_pad_m_s2
         first = self._noted_s is None
@@ -90,9 +86,13 @@ class TiltPrediction:
         self._noted_s = now_s
         self._lasting_m_s2 += share * (lasting - self._lasting_m_s2)
 
+    @property
+    def _with_pad_m_s2(self) -> complex:
+        return 0j if self._sight is None else complex(*self._sight.acceleration_ned_m_s2[:2])
+
     def predicted_acceleration_m_s2(self, ahead_s: float) -> float:
         """How much it will take (m/s²) so much later."""
-        turned = cmath.rect(1.0, self._turn_rad_s * ahead_s)
+        turned = cmath.rect(1.0, ahead_s * (0.0 if self._sight is None else self._sight.turn_rate_rad_s))
         return abs(self._lasting_m_s2 + self._with_pad_m_s2 * turned)
 
 
@@ -110,8 +110,8 @@ class Levelling:
     def reset(self) -> None:
         """No contact is near."""
         self.due_s = math.inf
-        self._from_s: float | None = None
-        self._lead_s = self._needed_m_s2 = 0.0
+        # from when on it is level, how long before the contact, and how much tilt was needed
+        self._level: tuple[float, float, float] | None = None
         self._too_low_s = -math.inf
         self._ahead: LevelOff | None = None
         self.planned_m_s = self._config.contact_speed_m_s
@@ -143,18 +143,19 @@ class Levelling:
     @property
     def begun(self) -> bool:
         """Whether it goes level by now."""
-        return self._from_s is not None
+        return self._level is not None
 
     def window(self) -> LevelOff | None:
         """Until when the vehicle may tilt how far at most; None until the contact is near."""
-        if self._from_s is None:
+        if self._level is None:
             return self._ahead
-        late_s = max(0.0, self.due_s - self._lead_s - self._from_s)
-        excess_m_s2 = self._needed_m_s2 - self._level_m_s2
+        from_s, lead_s, needed_m_s2 = self._level
+        late_s = max(0.0, self.due_s - lead_s - from_s)
+        excess_m_s2 = needed_m_s2 - self._level_m_s2
         if excess_m_s2 > 0.0:
             late_s = min(late_s, self._config.lateral_speed_m_s / excess_m_s2)
-        until_s = max(self._from_s + late_s, self._too_low_s) + self._lead_s + AFTER_S
-        return LevelOff(self._from_s, until_s, self._tilt_rad)
+        until_s = max(from_s + late_s, self._too_low_s) + lead_s + AFTER_S
+        return LevelOff(from_s, until_s, self._tilt_rad)
 
     def expect(self, sight: PadState, tilt: TiltPrediction, now_s: float) -> None:
         """When the feet will touch: by the speed as planned, until it goes level; from then on as seen.
@@ -169,11 +170,7 @@ class Levelling:
             self.due_s = now_s + max(0.0, over_m - self._foot_drop_m) / sink_m_s
         lead_s = self._levelling_s(tilt.tilt_rad)
         if not self.begun and now_s >= self.due_s - lead_s:
-            self._from_s, self._lead_s, self._needed_m_s2 = (
-                now_s,
-                lead_s,
-                tilt.predicted_acceleration_m_s2(0.0),
-            )
+            self._level = now_s, lead_s, tilt.predicted_acceleration_m_s2(0.0)
         self._ahead = None
         if now_s >= self.due_s - AHEAD_S:
             most_m_s2 = max(self._level_m_s2, tilt.predicted_acceleration_m_s2(0.0) + BEYOND_M_S2)
@@ -185,21 +182,21 @@ class Levelling:
             self._ahead = LevelOff(level_s, until_s, self._tilt_rad, before_rad)
         # no tilt that would put a foot on the pad, unless the level vehicle drifts so fast that this is worse
         slow = sight.lateral_speed_m_s <= FASTEST_DRIFT * self._config.lateral_speed_m_s
-        hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._needed_m_s2 / GRAVITY_M_S2))
-        if self.begun and fresh and slow and over_m <= hangs_m + self._config.contact_margin_m:
-            self._too_low_s = now_s
+        if self._level is not None and fresh and slow:
+            hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._level[2] / GRAVITY_M_S2))
+            if over_m <= hangs_m + self._config.contact_margin_m:
+                self._too_low_s = now_s
 
     def touching(self, now_s: float) -> None:
         """No tilt while contact is confirmed."""
         self.due_s = self._too_low_s = now_s
-        if self._from_s is None:
-            self._from_s, self._lead_s = now_s - TILTS_ON_S, TILTS_ON_S
+        if self._level is None:
+            self._level = now_s - RESPONDS_S, RESPONDS_S, 0.0
 
     def stay(self, now_s: float) -> None:
         """Level until told otherwise."""
-        if self._from_s is None:
-            self._from_s, self._lead_s = now_s, TILTS_ON_S
-        self.due_s = now_s + self._lead_s
+        self._level = self._level or (now_s, RESPONDS_S, 0.0)
+        self.due_s = now_s + self._level[1]
 
     def _levelling_s(self, tilt_rad: float) -> float:
         """How long before the contact it has to begin to level off from a tilt."""
@@ -208,4 +205,4 @@ class Levelling:
 
     def _tilts_on_s(self, tilt_rad: float) -> float:
         """How long before the contact the command has to be level for a contact that comes early."""
-        return TILTS_ON_S + self._std_m / self.sink_m_s(GRAVITY_M_S2 * math.tan(tilt_rad))
+        return RESPONDS_S + self._std_m / self.sink_m_s(GRAVITY_M_S2 * math.tan(tilt_rad))

@@ -23,7 +23,6 @@ _STILL_M_S2: Final = 0.3
 _STILL_RAD_S: Final = 0.05
 _LEVEL_RAD: Final = math.radians(10.0)
 _COUNT: Final = 10  # echoes, and sightings, that have to agree
-_SPREAD_M: Final = 0.03
 _ECHO_NOISE_M: Final = 0.01  # of one that comes from near
 # What a builder measures by a ruler, and grass below a rangefinder: 3 cm each; a pad has none.
 _TOLD_STD_M: Final = 0.03
@@ -37,10 +36,10 @@ class StandingHeight:
     def __init__(self, vehicle: VehicleConfig, nearest_echo_m: float = 0.0) -> None:
         """`nearest_echo_m`: what is nearer may show as this."""
         self._vehicle, self._nearest_echo_m = vehicle, nearest_echo_m
-        self._still = Debounce()
-        self._echo_s = self._seen_s = -math.inf
-        self._by_echo: deque[float] = deque(maxlen=_COUNT)
-        self._by_pad: deque[float] = deque(maxlen=_COUNT)
+        self._held = Debounce()
+        # by their source: when the newest was measured, and the last heights in a row
+        self._newest_s = dict.fromkeys(_BELOW_STD_M, -math.inf)
+        self._recent_m: dict[str, deque[float]] = {source: deque(maxlen=_COUNT) for source in _BELOW_STD_M}
         self._moved = False  # since the last was learnt
         self.measured_m: dict[str, tuple[float, float]] = {}  # by its source, with the standard deviation
         self._measured_s = -math.inf
@@ -49,22 +48,18 @@ class StandingHeight:
         """Take in a cycle's echo and estimates; flying says nothing."""
         vehicle = inputs.vehicle
         still = inputs.autopilot.connected and not inputs.autopilot.armed and _still(vehicle, now_s)
-        still_s = self._still.held_s(still, now_s)
+        still_s = self._held.held_s("still", still, now_s)
         if not still:
-            self._by_echo.clear()
-            self._by_pad.clear()
+            for recent_m in self._recent_m.values():
+                recent_m.clear()
             self._moved = True
             return
-        echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
-        echo = inputs.range
-        if echo is not None and echo_m is not None and echo.time_s > self._echo_s:
-            self._echo_s = echo.time_s
-            if echo.distance_m > self._nearest_echo_m + _ECHO_NOISE_M:
-                self._learn("the rangefinder", self._by_echo, echo_m, still_s, now_s)
-        sight = inputs.pad
-        if sight is not None and self._stands_on(sight) and sight.seen_time_s > self._seen_s:
-            self._seen_s = sight.seen_time_s
-            self._learn("the pad", self._by_pad, sight.height_m, still_s, now_s)
+        echo, sight = inputs.range, inputs.pad
+        echo_m = echo_height_m(echo, self._vehicle, now_s)
+        if echo is not None and echo_m is not None and echo.distance_m > self._nearest_echo_m + _ECHO_NOISE_M:
+            self._learn("the rangefinder", echo.time_s, echo_m, still_s, now_s)
+        if sight is not None and self._stands_on(sight):
+            self._learn("the pad", sight.seen_time_s, sight.height_m, still_s, now_s)
 
     @property
     def vehicle(self) -> VehicleConfig:
@@ -100,11 +95,13 @@ class StandingHeight:
             for source, (measured_m, std_m) in found[-1:]
         )
 
-    def _learn(
-        self, source: str, recent_m: deque[float], height_m: float, still_s: float, now_s: float
-    ) -> None:
+    def _learn(self, source: str, measured_s: float, height_m: float, still_s: float, now_s: float) -> None:
+        if measured_s <= self._newest_s[source]:
+            return
+        self._newest_s[source] = measured_s
+        recent_m = self._recent_m[source]
         recent_m.append(height_m)
-        agree = len(recent_m) == _COUNT and max(recent_m) - min(recent_m) <= _SPREAD_M
+        agree = len(recent_m) == _COUNT and max(recent_m) - min(recent_m) <= 3.0 * _ECHO_NOISE_M
         if agree and still_s >= _STILL_S:
             if self._moved:
                 self.measured_m.clear()  # it stood elsewhere: on a bench, say

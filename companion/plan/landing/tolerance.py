@@ -12,7 +12,7 @@ from statistics import NormalDist
 from companion.base.messages import PadState
 from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig
-from companion.plan.landing.contact import UNSEEN_S
+from companion.plan.landing.contact import RESPONDS_S, UNSEEN_S
 
 # Waiting it heaves by so much in gusts; what is left of a sink at the commit is added to the planned one.
 _HEIGHT_TOLERANCE_M = 0.10
@@ -31,10 +31,8 @@ _FARTHEST_ASIDE_M = 0.12
 _DRIFT_S = 0.22
 # It breaks off for an offset that is out of tolerance with this probability, by the estimate's covariance; it
 # starts down by the estimate itself.
-_BREAKS_OFF_AT = 0.9
-_BREAKS_OFF_STD = NormalDist().inv_cdf(_BREAKS_OFF_AT)
-# A sink is stopped within this delay and at this rate: without that room no break-off begins.
-_STOPS_AFTER_S = 0.2
+_BREAKS_OFF_STD = NormalDist().inv_cdf(0.9)
+# A sink is stopped at this rate, after `RESPONDS_S`: without that room no break-off begins.
 _STOPS_M_S2 = 2.5
 # Sliding over the pad slows it down by so much, with half its weight on the feet (friction 0.6).
 _SLIDES_M_S2 = 3.0
@@ -66,7 +64,7 @@ def stopping_m(sink_m_s: float, tilt_rad: float, foot_reach_m: float) -> float:
     """How much lower the lowest foot of a vehicle that sinks and tilts so gets before it rises."""
     sink = max(0.0, sink_m_s)
     below_m = foot_reach_m * math.sin(tilt_rad + _TILTS_MORE_RAD)
-    return sink * _STOPS_AFTER_S + sink * sink / (2.0 * _STOPS_M_S2) + below_m
+    return sink * RESPONDS_S + sink * sink / (2.0 * _STOPS_M_S2) + below_m
 
 
 def slides_off(sight: PadState, farthest_m: float) -> str:
@@ -92,7 +90,6 @@ class Tolerance:
     def __init__(self, config: TouchdownConfig, since_s: float, tolerance_scale: float) -> None:
         self._config, self.since_s, self.tolerance_scale = config, since_s, tolerance_scale
         self._tilts: deque[tuple[float, float]] = deque()  # of the last gentle_wait_s: when, m/s²
-        self._lull_m_s2 = 0.0
 
     def note_tilt(self, tilt_m_s2: float, now_s: float) -> None:
         """Take in how much tilt a contact would have met, while waiting."""
@@ -102,8 +99,6 @@ class Tolerance:
         tilts.append((now_s, tilt_m_s2))
         while now_s - tilts[0][0] > self._config.gentle_wait_s:
             tilts.popleft()
-        turned = now_s - tilts[0][0] >= _LULL_S  # what falls still may fall on
-        self._lull_m_s2 = tilts[0][1] + _LULL_M_S2 if turned else 0.0
 
     @property
     def escape_m(self) -> float:
@@ -134,8 +129,12 @@ class Tolerance:
 
     def max_horizontal_acceleration_m_s2(self, now_s: float) -> float:
         """How much tilt (m/s²) at contact is borne: grows with the waits, and is no less than a lull's."""
-        lull_m_s2 = self._lull_m_s2 if self.waits_passed(now_s) >= 1.0 else 0.0
-        return max(self._config.gentle_tilt_m_s2 * self._tolerance_growth(now_s), lull_m_s2)
+        borne_m_s2 = self._config.gentle_tilt_m_s2 * self._tolerance_growth(now_s)
+        if not self._tilts or self.waits_passed(now_s) < 1.0:
+            return borne_m_s2
+        (since_s, least_m_s2), (until_s, _) = self._tilts[0], self._tilts[-1]
+        turned = until_s - since_s >= _LULL_S  # what falls still may fall on
+        return max(borne_m_s2, least_m_s2 + _LULL_M_S2) if turned else borne_m_s2
 
     def most_tilt_rad(self, now_s: float) -> float:
         """How far a deck may tilt at contact; grows with the waits."""

@@ -32,7 +32,7 @@ from __future__ import annotations
 import math
 
 from companion.base.geometry import GRAVITY_M_S2
-from companion.base.messages import LevelOff, PadState, RangeSample, VehicleState
+from companion.base.messages import LandedState, LevelOff, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.config import LandingConfig, TouchdownConfig
 from companion.plan.debounce import Debounce
@@ -40,6 +40,7 @@ from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import LONGEST_CYCLE_S, PlanInputs
 from companion.plan.landing.contact import (
     AWAY_M,
+    BUMP_S,
     FRESH_S,
     UNSEEN_S,
     WITHIN_HAND_M,
@@ -49,9 +50,10 @@ from companion.plan.landing.contact import (
     ShortEchoes,
     contact_signs,
     echo_height_m,
+    imu_fresh,
 )
 from companion.plan.landing.levelling import Levelling, TiltPrediction, level_at
-from companion.plan.landing.set_down import SetDown
+from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
@@ -66,8 +68,6 @@ _FASTER_M_S = 0.16  # a planned sink may be exceeded by this, one that nothing f
 # can be levelled off at all, or it would break off at once.
 _TOO_MUCH_TILT = 1.3
 _COMMITS_BELOW = 0.9
-# Echoes deeper than the unseen pad's estimate by `AWAY_M`, for so long: the pad is not below any more.
-_DEEPER_S = 0.15
 # Where the last estimate has the feet within `WITHIN_HAND_M`, short echoes alone show them down, and an echo
 # that agrees with it shows that the pad, unseen for long, is below all the same.
 _AGREES_M = 0.05
@@ -98,10 +98,9 @@ class TouchdownSequence:
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._sight: PadState | None = None
         self._standing = LandDetector(config, vehicle, now_s)
-        self._set_down = SetDown(config, vehicle, generator)
-        self._gave_way_s = self._contact_due_s = self._blended_s = now_s
+        self._gave_way_s = self._contact_due_s = now_s
         self._tolerance = Tolerance(config, now_s, tolerance_scale)
-        self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
+        self._held = Debounce()
         self._contact_test = ContactTest(config)
         self._short_echoes = ShortEchoes(config.contact_speed_m_s)
         self.tilt = TiltPrediction()
@@ -117,7 +116,8 @@ class TouchdownSequence:
     @property
     def unconfirmed(self) -> bool:
         """Whether nothing shows the feet on the pad since our setpoints may not have arrived."""
-        return self._standing.unconfirmed
+        unseen = self._sight is None or self._sight.unseen_s > UNSEEN_S
+        return unseen and self._standing.doubted
 
     @property
     def unloading(self) -> float:
@@ -147,13 +147,15 @@ class TouchdownSequence:
         if sight is None or sight.unseen_s > self._landing.pause_unseen_s:
             unseen_s = self._landing.pause_unseen_s
             return MissionEvent.PAD_LOST, f"not seen for {unseen_s:.1f} s just above the pad"
-        tolerance.note_tilt(self._tilt_at_contact_m_s2(), now_s)
+        tilt_m_s2 = self._tilt_at_contact_m_s2()
+        tolerance.note_tilt(tilt_m_s2, now_s)
         ready = (
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.exceeds_lateral_tolerance(sight, now_s)
             and (tolerance.waits_passed(now_s) >= 1.0 or gentle(sight, c))
             and level_at(sight, self._sinks_for_s(), tolerance.most_tilt_rad(now_s))
-            and self._tilt_at_contact_m_s2() <= self._tilt_to_commit_m_s2(now_s)
+            and tilt_m_s2 <= tolerance.max_horizontal_acceleration_m_s2(now_s)
+            and tilt_m_s2 <= _COMMITS_BELOW * self._levelling.max_horizontal_acceleration_m_s2
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
         if waited_s >= c.giving_up_s:
@@ -162,22 +164,21 @@ class TouchdownSequence:
                 f"not settled in {waited_s:.0f} s, lateral offset "
                 f"{100.0 * sight.lateral_m:.0f} cm, tilt {math.degrees(self.tilt.tilt_rad):.0f} deg",
             )
-        if self._settled.held_s(ready, now_s) >= c.settled_s:
+        if self._held.held_s("settled", ready, now_s) >= c.settled_s:
             return MissionEvent.COMMIT, "committed to land: sinking"
         return None
 
     def rise(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
         """Climb back to where it waits."""
         event = self.wait(sight, now_s)
-        if event is None and not self._generator.rising(now_s):
-            return MissionEvent.RISEN, "on the way back up"
-        return event
+        risen = event is None and not self._generator.rising(now_s)
+        return (MissionEvent.RISEN, "on the way back up") if risen else event
 
-    def _tilt_to_commit_m_s2(self, now_s: float) -> float:
-        return min(
-            self._tolerance.max_horizontal_acceleration_m_s2(now_s),
-            _COMMITS_BELOW * self._levelling.max_horizontal_acceleration_m_s2,
-        )
+    def break_off(self, now_s: float) -> None:
+        """Begin to rise, at once; waiting goes on from the reference's own state."""
+        self._generator.rise(now_s)
+        self._levelling.reset()
+        self._held.end()
 
     def _tilt_at_contact_m_s2(self) -> float:
         return self.tilt.predicted_acceleration_m_s2(self._sinks_for_s())
@@ -206,7 +207,6 @@ class TouchdownSequence:
         self._gave_way_s, self._lowest_m = now_s, math.inf
         self._contact_test = ContactTest(c)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
-        self._blended_s = now_s + c.blend_s
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
@@ -265,7 +265,7 @@ class TouchdownSequence:
         echo_m = echo_height_m(echo, self._vehicle, now_s)
         below_m = math.inf if sight is None else sight.height_m
         deeper = unseen and echo_m is not None and echo_m > below_m + AWAY_M
-        gone = self._deeper.held_s(deeper, now_s) >= _DEEPER_S
+        gone = self._held.held_s("deeper", deeper, now_s) >= BUMP_S
         agrees = echo_m is not None and abs(echo_m - below_m) <= _AGREES_M
         believed = sight is not None and (sight.age_s <= c.blind_s or (agrees and self._within_hand(sight)))
         if believed and not gone:
@@ -314,7 +314,7 @@ class TouchdownSequence:
         firm_m_s = self._levelling.sink_m_s(self.tilt.predicted_acceleration_m_s2(0.0))
         if firm_m_s > self._levelling.planned_m_s:
             self._levelling.planned_m_s = firm_m_s
-            self._generator.sink(firm_m_s, max(_FIRMER_S, self._blended_s - now_s), now_s)
+            self._generator.sink(firm_m_s, max(_FIRMER_S, self._generator.end_s - now_s), now_s)
 
     def _escapes(self, sight: PadState) -> bool:
         """Whether it is so far aside that it would miss the pad."""
@@ -330,7 +330,7 @@ class TouchdownSequence:
         fresh = sight.unseen_s <= UNSEEN_S
         fastest_m_s = min(self._config.fastest_contact_m_s, self._levelling.planned_m_s + _FASTER_M_S)
         fast = fresh and sight.sink_m_s > fastest_m_s
-        if self._too_fast.held_s(fast, now_s) >= _WRONG_S:
+        if self._held.held_s("too fast", fast, now_s) >= _WRONG_S:
             return "sinking too fast"
         due_s = self._levelling.due_s if self._levelling.begun else self._contact_due_s
         tilt_m_s2 = self.tilt.predicted_acceleration_m_s2(max(0.0, due_s - now_s))
@@ -338,7 +338,7 @@ class TouchdownSequence:
         if tilt_m_s2 > min(most_m_s2, self._levelling.max_horizontal_acceleration_m_s2):
             return "too much tilt at contact"
         far = fresh and self._tolerance.exceeds_lateral_tolerance(sight, now_s, surely=True)
-        if self._far_aside.held_s(far, now_s) >= _WRONG_S:
+        if self._held.held_s("far aside", far, now_s) >= _WRONG_S:
             return f"lateral offset {100.0 * sight.lateral_m:.0f} cm at {sight.lateral_speed_m_s:.2f} m/s"
         return ""
 
@@ -355,32 +355,60 @@ class TouchdownSequence:
         if sight is not None and sight.unseen_s <= UNSEEN_S:
             self._generator.shift_down(share * (-sight.height_m - self._generator.at(now_s).position_m[2]))
 
-    def break_off(self, now_s: float) -> None:
-        """Begin to rise, at once; waiting goes on from the reference's own state."""
-        self._generator.rise(now_s)
-        self._levelling.reset()
-        for begun in (self._settled, self._too_fast, self._far_aside, self._deeper):
-            begun.held_s(False, now_s)
-
     # ------------------------------------------------------------ set down, and stand
 
     def begin_set_down(self, vehicle: VehicleState | None, now_s: float) -> None:
         """Begin to go straight down, level."""
         self._contact_test = ContactTest(self._config)
-        self._set_down.begin(vehicle, now_s)
+        self._go_straight_down(vehicle, now_s)
         self._standing = LandDetector(self._config, self._vehicle, now_s, self._sight)
         self._levelling.reset()
         self._levelling.stay(now_s)
-
-    def set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        """Go straight down, without the pad."""
-        self._levelling.stay(now_s)
-        return self._set_down.step(sight, inputs, self._contact_test, now_s)
 
     def begin_stand(self, now_s: float) -> None:
         """The feet are on the pad."""
         self._standing = LandDetector(self._config, self._vehicle, now_s, self._sight)
         self._stay_down(now_s)
+
+    def _go_straight_down(self, vehicle: VehicleState | None, now_s: float) -> None:
+        """In the EKF's NED, from the vehicle's own motion on, and no more sideways than that.
+
+        Until the autopilot is in the LAND that is asked for, our own setpoints bring the vehicle down.
+        """
+        if vehicle is not None:
+            actual = vehicle_motion(vehicle)
+            down = Motion(actual.position_m, (0.0, 0.0, actual.velocity_m_s[2]))
+            self._generator.start("local", down, now_s)
+        self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)
+
+    def set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        """Go straight down, without the pad, until something solid is below."""
+        vehicle, landed, fresh = inputs.vehicle, inputs.autopilot.landed, imu_fresh(inputs.vehicle, now_s)
+        self._levelling.stay(now_s)
+        if vehicle is not None:
+            # A reference that the vehicle does not follow would pull it after it later: so far below two or
+            # three times as fast as is planned. Without the IMU its height is a guess.
+            ahead_m = self._generator.at(now_s).position_m[2] - vehicle.position_ned_m[2]
+            unheard = inputs.link.silent or not inputs.autopilot.offboard
+            if unheard or (fresh and ahead_m > WITHIN_HAND_M):
+                self._go_straight_down(vehicle, now_s)
+        if landed is LandedState.ON_GROUND:
+            return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
+        # it means to go down, though its reference begins anew with the vehicle's own speed
+        meant = Motion(self._generator.at(now_s).position_m, (0.0, 0.0, self._config.contact_speed_m_s))
+        signs = contact_signs(
+            sight,
+            meant,
+            inputs.range,
+            landed,
+            now_s,
+            config=self._config,
+            vehicle=self._vehicle,
+            sink_m_s=None if vehicle is None else vehicle.velocity_ned_m_s[2],
+            imu_fresh=fresh,
+        )
+        self._contact_test.update(signs, now_s, down=signs.down and not inputs.link.silent)
+        return (MissionEvent.CONTACT, signs.in_words()) if self._contact_test.contact else None
 
     def stand(
         self, sight: PadState | None, inputs: PlanInputs, now_s: float, *, in_land: bool
@@ -414,7 +442,7 @@ class TouchdownSequence:
         """Why it does not stay on the pad; "" while it does."""
         why = self._standing.off_by_itself(sight, inputs, now_s)
         # LAND is asked for just where nothing shows the feet down
-        if why and not (in_land and self._standing.unconfirmed):
+        if why and not (in_land and self.unconfirmed):
             return why
         away = sight is not None and self._standing.off_pad(sight, now_s)
         slips = self._standing.arrives(now_s) or self._standing.doubted

@@ -37,7 +37,7 @@ class Bounds:
 
     def __init__(self, config: MissionConfig) -> None:
         self._config = config
-        self._too_hard = Debounce()
+        self._held = Debounce()
 
     def detect(
         self, vehicle: VehicleState | None, pad: PadState | None, autopilot: AutopilotState, now_s: float
@@ -98,6 +98,6 @@ class Bounds:
                 words = f"{speed:.1f} ±{uncertain_m_s:.1f} m/s, limit {c.pad_speed_m_s:g}"
                 yield MissionEvent.PAD_TOO_FAST, words
             acceleration = math.hypot(*pad.acceleration_ned_m_s2[:2])
-        if self._too_hard.held_s(acceleration > c.pad_acceleration_m_s2, now_s) >= _TOO_HARD_S:
+        if self._held.held_s("too hard", acceleration > c.pad_acceleration_m_s2, now_s) >= _TOO_HARD_S:
             most = c.pad_acceleration_m_s2
             yield MissionEvent.PAD_TOO_FAST, f"{acceleration:.1f} m/s², limit {most:g}"

@@ -11,7 +11,7 @@ from companion.base.geometry import Vector3, geodetic_from_ned, ned_from_geodeti
 from companion.base.messages import Action, ActionKind, AutopilotState, LandedState, VehicleState
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
-from companion.plan.events import DetectedEvent, MissionEvent, NoticeSink
+from companion.plan.events import Announcements, DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack
@@ -20,7 +20,7 @@ from companion.plan.mission.states import State
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.waypoints import Waypoints
 
-_REMIND_S = 10.0
+REMIND_S = 10.0  # of what is waited for
 # The autopilots end a take-off somewhat below its height: up is within this of it, or settled for a while at
 # this share of it.
 _NEARLY_UP_M = 0.5
@@ -40,12 +40,11 @@ class Departure:
         ground: HeightAboveGround,
         waypoints: Waypoints,
         avoidance: Avoidance,
-        say: NoticeSink,
+        say: Announcements,
     ) -> None:
         self._config, self._pad, self._ground = config, pad, ground
         self._waypoints, self._avoidance, self._say = waypoints, avoidance, say
-        self._settled = Debounce()
-        self._reminded_s = -math.inf
+        self._held = Debounce()
         self._sent_to: Vector3 | None = None  # latitude, longitude, altitude
 
     def with_numbers(self, action: Action, autopilot: AutopilotState) -> Action:
@@ -82,14 +81,8 @@ class Departure:
         missing = [*not_ready_to_arm(inputs, self._config, now_s)]
         if not missing:
             return MissionEvent.READY, "ready to arm"
-        self.remind("waiting", f"waiting: {', '.join(missing)}", now_s)
+        self._say.again("waiting", f"waiting: {', '.join(missing)}", now_s, REMIND_S)
         return None
-
-    def remind(self, kind: str, text: str, now_s: float) -> None:
-        """Say what is waited for, not in every cycle."""
-        if now_s - self._reminded_s >= _REMIND_S:
-            self._reminded_s = now_s
-            self._say(kind, text, now_s, "info")
 
     def _take_off(
         self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
@@ -99,7 +92,7 @@ class Departure:
             return None
         climb_m_s = 0.0 if vehicle is None else -vehicle.velocity_ned_m_s[2]
         calm = abs(climb_m_s) <= _SETTLED_M_S and height_m >= _SETTLED_SHARE * wanted_m
-        settled = self._settled.held_s(calm, now_s) >= _SETTLED_S
+        settled = self._held.held_s("calm", calm, now_s) >= _SETTLED_S
         if height_m < wanted_m - min(_NEARLY_UP_M, 0.1 * wanted_m) and not settled:
             return None
         if vehicle is None or self._avoidance.lost:

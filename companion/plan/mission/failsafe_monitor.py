@@ -22,11 +22,10 @@ from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.contact import FALLS_S, FRESH_S, accelerates, lying_rad
+from companion.plan.landing.contact import BUMP_S, FRESH_S, KNOWN_S, accelerates, lying_rad
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.mode_monitor import WITHOUT_STICKS, ModeMonitor, short_name
 from companion.plan.mission.readiness import (
-    STALE_ESTIMATE_S,
     late_words,
     refused_words,
     rival_words,
@@ -37,9 +36,9 @@ from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, StateMachine, b
 
 _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
-# So long without a plan the stop is complete, and the vehicle drifts with the wind.
-_NO_PLAN_S = 1.0
-_LIES_S = 1.0  # a vehicle that is thrown over and comes back is not at rest meanwhile
+# What lasts longer does not pass: without a plan the stop is complete, and the vehicle drifts with the wind;
+# a vehicle that is thrown over and comes back is not at rest meanwhile.
+_PASSES_S = 1.0
 _LED_AWAY = frozenset({MissionEvent.OUT_OF_BOUNDS, MissionEvent.OVERTIME, MissionEvent.TIMEOUT})
 _EVENTS: dict[Reaction | None, MissionEvent] = {
     Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
@@ -116,16 +115,18 @@ class FailsafeMonitor:
         self._config, self._machine = config, machine
         self._modes = ModeMonitor(config.take_off_height_m)
         self.bounds = Bounds(config)
-        self._no_plan, self._lying, self._falling = (Debounce() for _ in range(3))
+        self._held = Debounce()
         self.lies = False  # on its side, by all that tells
-        self._took_off_s: float | None = None
-        self._phase_since_s: float | None = None
 
     def phase_begins(self, now_s: float) -> None:
         """Count the new phase's time from now; the mission's own from take-off."""
-        self._phase_since_s = now_s
-        if self._took_off_s is None and self._machine.state not in BEFORE_TAKE_OFF:
-            self._took_off_s = now_s
+        self._held.end("phase")
+        self._times_s(now_s)
+
+    def _times_s(self, now_s: float) -> tuple[float, float]:
+        """How long this phase and, since take-off, the mission have lasted; negative before that."""
+        flies = self._machine.state not in BEFORE_TAKE_OFF
+        return self._held.held_s("phase", True, now_s), self._held.held_s("mission", flies, now_s)
 
     def detect(
         self,
@@ -141,8 +142,7 @@ class FailsafeMonitor:
 
         `control_granted`, `taking_off`: the request was accepted. `asked`: what was asked for last.
         """
-        if self._phase_since_s is None:
-            self._phase_since_s = now_s
+        phase_s, mission_s = self._times_s(now_s)
         state, autopilot = self._machine.state, inputs.autopilot
         if state in FINAL:
             return ()
@@ -162,7 +162,7 @@ class FailsafeMonitor:
         found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
-        found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)]
+        found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(phase_s, mission_s)]
         return by_severity([(event, words + _cause(event, inputs.shortage)) for event, words in found])
 
     def after_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> tuple[DetectedEvent, ...]:
@@ -178,8 +178,8 @@ class FailsafeMonitor:
     def _tipped_over(self, inputs: PlanInputs, now_s: float) -> Iterator[DetectedEvent]:
         tilt_rad = lying_rad(inputs, now_s)
         # what is dragged by its motors is jolted; what falls is not for so short a time
-        falls = self._falling.held_s(accelerates(inputs.vehicle), now_s) >= FALLS_S
-        self.lies = self._lying.held_s(tilt_rad > 0.0 and not falls, now_s) >= _LIES_S
+        falls = self._held.held_s("falls", accelerates(inputs.vehicle), now_s) >= BUMP_S
+        self.lies = self._held.held_s("lies", tilt_rad > 0.0 and not falls, now_s) >= _PASSES_S
         if self.lies:
             yield MissionEvent.TIPPED_OVER, f"tilted by {math.degrees(tilt_rad):.0f} deg and at rest"
 
@@ -198,7 +198,7 @@ class FailsafeMonitor:
             yield MissionEvent.LINK_LATE, late
 
     def _control(self, failure: str, now_s: float) -> Iterator[DetectedEvent]:
-        if self._no_plan.held_s(bool(failure), now_s) >= _NO_PLAN_S:
+        if self._held.held_s("no plan", bool(failure), now_s) >= _PASSES_S:
             yield MissionEvent.CONTROL_FAILED, failure
 
     def _battery(self, autopilot: AutopilotState) -> Iterator[DetectedEvent]:
@@ -217,19 +217,18 @@ class FailsafeMonitor:
         # none any more: LAND would brake the vehicle over a pad that drives on. Of a pad that was out of view
         # before, the motion is known from too long ago.
         follows = self._machine.state is State.SINK and _seen_until_lost(vehicle, pad)
-        longest_s = IMU_TIMEOUT_S if follows else STALE_ESTIMATE_S
+        longest_s = IMU_TIMEOUT_S if follows else KNOWN_S
         if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > longest_s:
             yield MissionEvent.ESTIMATE_LOST, "no current vehicle estimate"
         elif uncertain := velocity_words(vehicle, self._config):
             yield MissionEvent.VELOCITY_UNCERTAIN, uncertain
 
-    def _time(self, now_s: float) -> Iterator[DetectedEvent]:
-        assert self._phase_since_s is not None
+    def _time(self, phase_s: float, mission_s: float) -> Iterator[DetectedEvent]:
         total_s, phase = self._config.total_timeout_s, self._machine.phase
         if phase is Phase.STANDBY:
             return
-        if self._took_off_s is not None and now_s - self._took_off_s > total_s:
+        if mission_s > total_s:
             yield MissionEvent.OVERTIME, f"{total_s:.0f} s since take-off"
         limit_s: float = getattr(self._config.phases, f"{phase.value}_s")
-        if now_s - self._phase_since_s > limit_s:
+        if phase_s > limit_s:
             yield MissionEvent.TIMEOUT, f"{limit_s:.0f} s in {phase.value.replace('_', ' ')}"

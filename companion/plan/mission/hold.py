@@ -12,14 +12,13 @@ from companion.base.geometry import Vector3, norm, subtract
 from companion.base.messages import VehicleState
 from companion.base.motion import Motion
 from companion.config import PlanConfig
-from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent, NoticeSink
+from companion.plan.events import NOTICE_THRESHOLD_M, Announcements, DetectedEvent, MissionEvent
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, vehicle_motion
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
-# At rest, as far as gusts let it be: what the autopilot's hold takes over without a swing.
-_SLOW_M_S: Final = 0.3
-_NEAR_M: Final = 0.3
+# At rest (m, m/s), as far as gusts let it be: what the autopilot's hold takes over without a swing.
+_AT_REST: Final = 0.3
 
 
 class Hold:
@@ -33,13 +32,12 @@ class Hold:
         generator: ReferenceGenerator,
         pad: PadTrack,
         ground: HeightAboveGround,
-        say: NoticeSink,
+        say: Announcements,
     ) -> None:
         self._clear_m = leg_m + config.landing.retry_height_m
         self._ceiling_m = config.mission.ceiling_m
         self._generator, self._pad, self._ground, self._say = generator, pad, ground, say
-        self._place: Vector3 | None = None
-        self._climbs = False
+        self._held: tuple[Vector3, bool] | None = None  # the place, and whether it climbs there
 
     def stand_still(self, vehicle: VehicleState, now_s: float) -> None:
         """Come to rest, from the reference's own motion when there is one."""
@@ -55,44 +53,40 @@ class Hold:
         climb_m = self._climb_m() if over_pad else 0.0
         self.stand_still(vehicle, now_s)
         x, y, z = self._generator.resting_place_m()
-        self._climbs = climb_m > NOTICE_THRESHOLD_M
-        self._place = (x, y, z - climb_m if self._climbs else z)
-        if self._climbs:
+        climbs = climb_m > NOTICE_THRESHOLD_M
+        self._held = (x, y, z - climb_m if climbs else z), climbs
+        if climbs:
             self._say("climb", f"climbing {climb_m:.1f} m clear of the pad", now_s, "warning")
 
     @property
     def begun(self) -> bool:
         """Whether there is a place to hold."""
-        return self._place is not None
+        return self._held is not None
 
     def end(self) -> None:
         """There is nothing to hold by."""
-        self._place, self._climbs = None, False
+        self._held = None
 
     def step(
         self, vehicle: VehicleState | None, step_m: Vector3 | None, now_s: float
     ) -> DetectedEvent | None:
         """Go on; detects that the vehicle is at rest where it holds. `step_m`: of the EKF's position."""
-        if self._place is None or vehicle is None or not self._generator.active:
+        if self._held is None or vehicle is None or not self._generator.active:
             return None
-        actual = vehicle_motion(vehicle)
-        if step_m is not None:
-            self._place = self._after_step(self._place, step_m, actual, now_s)
-        if self._climbs:
+        actual, (place, climbs) = vehicle_motion(vehicle), self._held
+        if step_m is not None and self._generator.keep_near(actual, now_s) > 0.0:
+            # at rest from here, as high as was meant
+            x, y, z = self._generator.resting_place_m()
+            self._say("strayed", f"position reset by {norm(step_m):.1f} m: holding here", now_s, "warning")
+            place = (x, y, place[2] + step_m[2] if climbs else z)
+            self._held = place, climbs
+        if climbs:
             # the climb by itself: to come to rest from a pad that drove fast takes longer
-            self._generator.fly_level(Motion(self._place), self._place[2], now_s)
-        near = norm(subtract(actual.position_m, self._place)) <= _NEAR_M
-        if near and norm(actual.velocity_m_s) <= _SLOW_M_S:
-            return MissionEvent.CLEAR, "clear of the pad, at rest" if self._climbs else "at rest"
+            self._generator.fly_level(Motion(place), place[2], now_s)
+        near = norm(subtract(actual.position_m, place)) <= _AT_REST
+        if near and norm(actual.velocity_m_s) <= _AT_REST:
+            return MissionEvent.CLEAR, "clear of the pad, at rest" if climbs else "at rest"
         return None
-
-    def _after_step(self, place: Vector3, step_m: Vector3, actual: Motion, now_s: float) -> Vector3:
-        """Where to hold after a step: at rest from here, as high as was meant."""
-        if self._generator.keep_near(actual, now_s) == 0.0:
-            return place
-        x, y, z = self._generator.resting_place_m()
-        self._say("strayed", f"position reset by {norm(step_m):.1f} m: holding here", now_s, "warning")
-        return (x, y, place[2] + step_m[2] if self._climbs else z)
 
     def _climb_m(self) -> float:
         """How far (m) up it is clear of the pad; never beyond the ceiling."""

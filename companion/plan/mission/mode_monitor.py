@@ -22,6 +22,7 @@ from companion.base.messages import (
     LandedState,
     LinkHealth,
 )
+from companion.plan.debounce import Debounce
 from companion.plan.mission.states import Authority, State
 
 # A mode change is in the next HEARTBEAT (1 Hz), which may be lost once.
@@ -77,9 +78,8 @@ class ModeMonitor:
 
     def __init__(self, take_off_height_m: float) -> None:
         self._done_m = _TAKE_OFF_DONE_SHARE * take_off_height_m
-        self._found: str | None = None
-        self._left_found = False
-        self._obeyed_s: float | None = None
+        self._found: str | None = None  # "" once it has left the mode in which it was found
+        self._held = Debounce()
         self._silent_s, self._obeyed = -math.inf, False
         self._climbed = False
         self._last: str | None = None  # while the mission went on
@@ -114,14 +114,14 @@ class ModeMonitor:
             return False
         mode = self._last = short_name(autopilot.mode)
         if self._found is None or state in _BEFORE_ANY_REQUEST:
-            self._found, self._left_found = mode, False
+            self._found = mode
         if state in _BEFORE_ANY_REQUEST:
             return False
         self._climbed = self._climbed or over_home_m is None or over_home_m >= self._done_m
         theirs = ordered_in_air and authority is Authority.NONE
         ours = self._ours(state, authority, autopilot, kind, asked)
         if mode in (frozenset({_control(kind)}) if theirs else ours):
-            self._left_found = self._left_found or mode != self._found
+            self._found = self._found if mode == self._found else ""
             return False
         if authority is Authority.OURS and self._awaits_setpoints(autopilot, mode, kind, now_s):
             return False
@@ -158,16 +158,14 @@ class ModeMonitor:
         if state is State.TAKE_OFF and not self._climbed:
             # where a take-off ends is also where the vehicle may have been found
             end = short_name(profile.hold_mode)
-            return profile.climbs_in - ({end} if self._left_found or self._found != end else frozenset())
+            return profile.climbs_in - ({end} if self._found != end else frozenset())
         return profile.climbs_in | control
 
     def _still_as_found(self, mode: str, *, requested: bool, now_s: float) -> bool:
         """Whether the autopilot has not changed the mode yet in which it was found."""
-        if self._left_found or mode != self._found:
+        if mode != self._found:
             return False
-        if not requested or self._obeyed_s is None:
-            self._obeyed_s = now_s
-        return now_s - self._obeyed_s <= TAKES_S
+        return self._held.held_s("requested", requested, now_s) <= TAKES_S
 
     def _awaits_setpoints(
         self, autopilot: AutopilotState, mode: str, kind: AutopilotKind, now_s: float

@@ -11,12 +11,12 @@ from companion.base.second_sources import refused
 from companion.config import MissionConfig, PlanConfig
 from companion.plan.events import MissionEvent
 from companion.plan.inputs import PlanInputs
+from companion.plan.landing.contact import KNOWN_S
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.mode_monitor import in_offboard
 
 ORDER_EVENTS = {OrderKind.LAND: MissionEvent.LAND_ORDERED, OrderKind.FLY: MissionEvent.FLY_ORDERED}
 _TWIN_GONE_S = 5.0  # heartbeats come once a second
-STALE_ESTIMATE_S = 0.5  # without IMU samples for so long the estimate is lost
 
 
 def refused_words(autopilot: AutopilotState) -> str:
@@ -113,7 +113,7 @@ def _either_way(
 
 def estimate_problems(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
     """What stands against flying by an estimate of the vehicle."""
-    if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > STALE_ESTIMATE_S:
+    if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > KNOWN_S:
         yield "no current vehicle estimate"
     elif vehicle.origin is None:
         yield "no GPS position in our estimate yet"

@@ -88,7 +88,8 @@ class Requests:
 
     def news(self) -> tuple[str, ...]:
         """Why what is asked again and again is refused, once for each reason that differs from the last."""
-        news, self._news = tuple(self._news), []
+        news = tuple(self._news)
+        self._news.clear()
         return news
 
     def due(self, now_s: float) -> tuple[Action, ...]:
@@ -98,8 +99,9 @@ class Requests:
             self._pending[p.action.kind] = replace(
                 p, due_s=float("inf"), sent=p.sent + 1, answer_by_s=now_s + self._answer_s
             )
-        reports, self._reports = self._reports, []
-        return (*reports, *(p.action for p in ready))
+        due = (*self._reports, *(p.action for p in ready))
+        self._reports.clear()
+        return due
 
     def _put_off(self, pending: _Pending, now_s: float, why: str) -> None:
         kind = pending.action.kind

@@ -14,14 +14,14 @@ EKF's origin, so that surveyed positions do not move with an estimate. m, s.
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3, add, norm, scale, subtract
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
-from companion.plan.events import NoticeSink
+from companion.plan.events import Announcements, NoticeSeverity
 from companion.plan.obstacles.obstacles import (
     Obstacle,
     clearance_m,
@@ -33,7 +33,7 @@ from companion.plan.obstacles.obstacles import (
 )
 from companion.plan.trajectory.coordinate_frames import STILL, in_space, predicted_places, space_seen_from
 from companion.plan.trajectory.course import Course, PlannedPath, halting, paced
-from companion.plan.trajectory.min_jerk import Trajectory, brake, carried
+from companion.plan.trajectory.min_jerk import HARD_STOP_M_S2, Trajectory, brake, carried
 
 # Corners are first passed with this much spare room, so that a smooth curve fits.
 _SPARES_M: Final = (0.5, 0.25, 0.05)
@@ -52,17 +52,15 @@ _CHECK_STEP_S: Final = 0.1
 # The far part of a longer trajectory is checked in as many coarse steps, and closely once it is near.
 _MOST_CHECKS: Final = 300
 # A detour is kept while its end is this near to where the target will be.
-_SAME_END_M: Final = 0.3
-_SAME_END_M_S: Final = 0.3
+_SAME_END: Final = 0.3  # m, and m/s
 _SAME_PLACE_M: Final = 1e-3
-# Where the gentle stop comes too near, harder ones are tried (m/s²); the last is taken anyway.
-_HARD_STOPS_M_S2: Final = (3.0, 4.5)
 _SLACK_M: Final = 0.01
 _EXTRA_S: Final = 0.5
 # Waiting over a pad, so much higher than the margin asks for.
 _ABOVE_M: Final = 0.1
 _TELL_AGAIN_S: Final = 2.0
-_WORDS: Final = {
+Situation = Literal["blocked", "waiting_over", "detour", "clear"]
+_WORDS: Final[dict[Situation, str]] = {
     "blocked": "no clear path past the obstacles: holding",
     "waiting_over": "pad too near to an obstacle: waiting over it",
     "detour": "obstacle ahead: flying round it",
@@ -85,7 +83,7 @@ class Avoidance:
         self._next_s = -math.inf
         self.frame = STILL  # how the reference's frame moves in the EKF's NED
         self._corners: list[tuple[float, Vector3]] = []  # of the detour: when they are passed, and where
-        self.blocked = self.waiting = False
+        self.situation: Situation = "clear"  # what the obstacles make of the path
 
     @property
     def needed(self) -> bool:
@@ -100,7 +98,7 @@ class Avoidance:
     def forget(self) -> None:
         """Drop the detour: a new reference begins."""
         self._detour, self._next_s, self._corners = None, -math.inf, []
-        self.blocked = self.waiting = False
+        self.situation = "clear"
 
     def way(
         self,
@@ -130,18 +128,22 @@ class Avoidance:
             kept = None
         if kept is not None and (now_s < self._next_s or _leads_to(kept, target, now_s)):
             return kept
+        waits = self.situation == "waiting_over"
         if now_s >= self._next_s or not self.blocked:
             self._next_s = now_s + _THINK_AGAIN_S
             found = self._round(start, target, now_s, level)
-            self.waiting = found is None and may_wait
-            if self.waiting:
+            waits = found is None and may_wait
+            if waits:
                 found = self._over(start, target, now_s)
             kept = found or (kept if kept is not None and now_s < kept.end_s else None)
             if kept is not None:  # what takes long is planned less often
                 self._next_s = now_s + max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (kept.end_s - now_s))
-        self._detour, self.blocked = kept, kept is None
-        self.waiting &= not self.blocked
-        return self._stop(start, now_s) if kept is None else kept
+        self._detour = kept
+        if kept is None:
+            self.situation = "blocked"
+            return self._stop(start, now_s)
+        self.situation = "waiting_over" if waits else "detour"
+        return kept
 
     def along(self, start: Motion, points: Sequence[Vector3], now_s: float) -> Course | None:
         """Through points in space, round what is between them; None when there is no way that keeps clear."""
@@ -153,7 +155,7 @@ class Avoidance:
                 course = pace(start, via, Motion(points[-1]), now_s, self._limits)
                 if not self.needed or self._keeps_clear(course, now_s):
                     return course
-        self.blocked, self._next_s = True, now_s + _THINK_AGAIN_S
+        self.situation, self._next_s = "blocked", now_s + _THINK_AGAIN_S
         return None
 
     def brake(self, start: Motion, now_s: float) -> Trajectory:
@@ -180,13 +182,15 @@ class Avoidance:
         return not self.needed or self._clear(way, now_s)
 
     @property
-    def situation(self) -> str:
-        """What the obstacles make of the path, as `ObstacleMonitor` announces it."""
-        if self.blocked:
-            return "blocked"
-        if self.waiting:
-            return "waiting_over"
-        return "clear" if self._detour is None else "detour"
+    def blocked(self) -> bool:
+        """Whether there is no way that keeps clear: it brakes and holds."""
+        return self.situation == "blocked"
+
+    def tell(self, say: Announcements, now_s: float) -> None:
+        """Announce a detour, that there is none, and when the path is straight again; call it every cycle."""
+        severity: NoticeSeverity = "warning" if self.situation in {"blocked", "waiting_over"} else "info"
+        words = _WORDS[self.situation]
+        say.change("obstacles", self.situation, words, now_s, _TELL_AGAIN_S, severity)
 
     # ------------------------------------------------------------ judging
 
@@ -310,27 +314,11 @@ class Avoidance:
     def _braked(self, start: Motion, frame: Motion, now_s: float) -> Trajectory:
         """Come to rest in a frame; harder where the gentle stop comes too near."""
         stop = brake(start, now_s, self._limits.horizontal_acceleration_m_s2)
-        for deceleration in _HARD_STOPS_M_S2:
+        for deceleration in (HARD_STOP_M_S2, 1.5 * HARD_STOP_M_S2):  # the last is taken anyway
             if not self.needed or self._keeps_clear(stop, now_s, frame):
                 break
             stop = brake(start, now_s, deceleration)
         return stop
-
-
-class ObstacleMonitor:
-    """The notices about the obstacles; call `tell` in every cycle."""
-
-    def __init__(self, avoidance: Avoidance, say: NoticeSink) -> None:
-        self._avoidance, self._say = avoidance, say
-        self._reported, self._reported_s = "clear", -math.inf
-
-    def tell(self, now_s: float) -> None:
-        """Announce a detour, that there is none, and when the path is straight again."""
-        way = self._avoidance.situation
-        if way == self._reported or now_s - self._reported_s < _TELL_AGAIN_S:
-            return
-        self._say(way, _WORDS[way], now_s, "warning" if way in {"blocked", "waiting_over"} else "info")
-        self._reported, self._reported_s = way, now_s
 
 
 def _places(way: PlannedPath, frame: Motion, now_s: float, from_s: float, to_s: float) -> FloatArray:
@@ -355,5 +343,5 @@ def _leads_to(course: Course, target: Motion, now_s: float) -> bool:
     end_s = max(now_s, course.end_s)
     end = course.at(end_s)
     wanted = add(target.position_m, scale(target.velocity_m_s, end_s - now_s))
-    near = math.dist(end.position_m, wanted) <= _SAME_END_M
-    return near and math.dist(end.velocity_m_s, target.velocity_m_s) <= _SAME_END_M_S
+    near = math.dist(end.position_m, wanted) <= _SAME_END
+    return near and math.dist(end.velocity_m_s, target.velocity_m_s) <= _SAME_END

@@ -83,7 +83,6 @@ class PadLocator:
         self._config = config
         self._beacon: Lead | None = None
         self._compared: Lead | None = None  # the beacon whose course the next one is compared with
-        self._beacon_heard: PadBeacon | None = None
         self._sight: Lead | None = None
         self._offset_m: tuple[float, float] | None = None
         self._carried: CarriedLead | None = None
@@ -91,9 +90,10 @@ class PadLocator:
 
     def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> bool:
         """Take in the beacon; `origin` is the EKF's (deg, deg, m). Returns whether it was a surprise."""
-        if beacon is None or origin is None or beacon == self._beacon_heard:
+        if beacon is None or origin is None:
             return False
-        self._beacon_heard = beacon
+        if self._beacon is not None and beacon.time_s == self._beacon.time_s:
+            return False
         position = self._corrected(
             beacon.time_s,
             ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, origin),

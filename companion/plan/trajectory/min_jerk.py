@@ -26,7 +26,8 @@ Coefficients = tuple[float, float, float, float, float, float]
 REST_PEAK: Final = 1.875  # from rest to rest the greatest speed is so many times the mean
 _CHECKED_AT: Final = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
 _MOST_STRETCHES: Final = 4
-_SHORTEST_STOP_S: Final = 0.6
+SHORTEST_STOP_S: Final = 0.6
+HARD_STOP_M_S2: Final = 3.0  # harder than the plan's own limits, for safety and to keep the pad in view
 
 
 def trajectory_time_s(distance_m: float, speed_m_s: float, minimum_time_s: float) -> float:
@@ -145,7 +146,7 @@ def brake(start: Motion, start_s: float, deceleration_m_s2: float) -> Trajectory
     v = start.velocity_m_s
     speed = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) ** 0.5
     # a quintic from speed v to rest over v T / 2 peaks at 1.5 v / T
-    duration_s = max(_SHORTEST_STOP_S, 1.5 * speed / deceleration_m_s2)
+    duration_s = max(SHORTEST_STOP_S, 1.5 * speed / deceleration_m_s2)
     p = start.position_m
     half = 0.5 * duration_s
     final = Motion((p[0] + half * v[0], p[1] + half * v[1], p[2] + half * v[2]))

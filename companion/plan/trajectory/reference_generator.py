@@ -23,6 +23,7 @@ from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.coordinate_frames import STILL
 from companion.plan.trajectory.course import Course, PlannedPath
 from companion.plan.trajectory.min_jerk import (
+    HARD_STOP_M_S2,
     REST_PEAK,
     Trajectory,
     brake,
@@ -43,11 +44,9 @@ _MAX_OVERSHOOT_M = 0.3
 _RISES_M_S = 0.3
 _RISES_WITHIN_S = 0.3
 _KEPT_SHARE = 0.9
-# Levelling off is for safety and keeps the pad in view: quicker than the plan's own limits.
-_LEVEL_OFF_M_S2 = 3.0
 _TOO_LOW_M = 0.15
 _LONGEST_TIMES = 6.0
-_SAME_POINT_M = 0.5
+SAME_POINT_M: Final = 0.5
 
 
 class ReferenceGenerator:
@@ -61,13 +60,12 @@ class ReferenceGenerator:
         step_s: float,
         avoidance: Avoidance | None = None,
     ) -> None:
-        self._config, self._law = config, law
+        self.limits, self._law = config, law
         self.pace = 1.0  # factor on V
         self.avoidance = avoidance or Avoidance(PlanConfig(), 0.0)
         self._count, self._step_s = horizon_steps + 1, step_s
         self.origin: ReferenceFrame = "local"
         self._trajectory: PlannedPath | None = None
-        self._along: Course | None = None
         self._pad = STILL
         self._level: Trajectory | None = None
         self._rise: Trajectory | None = None
@@ -91,6 +89,11 @@ class ReferenceGenerator:
             raise RuntimeError("no reference yet: start one first")
         motion = self._trajectory.at(now_s)
         return motion if self._level is None else _with_down(motion, self._level.at(now_s))
+
+    @property
+    def end_s(self) -> float:
+        """When the present trajectory ends, whatever levelling off there is; inf without one."""
+        return math.inf if self._trajectory is None else self._trajectory.end_s
 
     def resting_place_m(self) -> Vector3:
         """Where the reference ends.
@@ -164,10 +167,11 @@ class ReferenceGenerator:
 
         A course that was begun is kept while it is clear: the points passed may be left out next time.
         """
-        if self._along is not None and self._trajectory is self._along:
-            same = math.dist(self._along.at(self._along.end_s).position_m, points[-1]) <= _SAME_POINT_M
-            if same and self.avoidance.still_clear(self._along, now_s):
-                self.time_to_go_s = max(0.0, self._along.end_s - now_s)
+        flown = self._trajectory
+        if isinstance(flown, Course):
+            same = math.dist(flown.at(flown.end_s).position_m, points[-1]) <= SAME_POINT_M
+            if same and self.avoidance.still_clear(flown, now_s):
+                self.time_to_go_s = max(0.0, flown.end_s - now_s)
                 return
         course = self.avoidance.along(self.at(now_s), points, now_s)
         if course is None:
@@ -175,7 +179,6 @@ class ReferenceGenerator:
             self._trajectory, self._level = self.avoidance.brake(self.at(now_s), now_s), None
             return
         self._follow(course, now_s)
-        self._along = course
 
     def fly_to(self, target: Motion, now_s: float) -> None:
         """Replan towards a point that moves on as it does, by eqs. 37 and 29, clear of obstacles.
@@ -194,12 +197,12 @@ class ReferenceGenerator:
         gaining = subtract(start.acceleration_m_s2, target.acceleration_m_s2)
         speed = self.pace * self._law(distance, dot(closing, unit), dot(gaining, unit))
         moving = Motion(scale(offset, -1.0), closing, gaining)
-        duration_s = trajectory_time_s(distance, speed, self._config.minimum_time_s)
+        duration_s = trajectory_time_s(distance, speed, self.limits.minimum_time_s)
         asked_s = max(duration_s, self._left_s(now_s))
-        slowest_s = distance / min(speed, self._config.vertical_speed_m_s)
-        stopping_s = norm(closing) / self._config.vertical_acceleration_m_s2
-        longest_s = _LONGEST_TIMES * (self._config.minimum_time_s + slowest_s + stopping_s)
-        relative = within_limits(moving, asked_s, longest_s, now_s, self._config)
+        slowest_s = distance / min(speed, self.limits.vertical_speed_m_s)
+        stopping_s = norm(closing) / self.limits.vertical_acceleration_m_s2
+        longest_s = _LONGEST_TIMES * (self.limits.minimum_time_s + slowest_s + stopping_s)
+        relative = within_limits(moving, asked_s, longest_s, now_s, self.limits)
         direct = carried(relative, target, now_s)
         way = self.avoidance.way(
             direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
@@ -230,7 +233,7 @@ class ReferenceGenerator:
             beyond_m = max(beyond_m, there - max(z, goal, goal_then), above_m)
         if beyond_m <= _MAX_OVERSHOOT_M:
             return None
-        level = brake(_upright(start), now_s, _LEVEL_OFF_M_S2)
+        level = brake(_upright(start), now_s, HARD_STOP_M_S2)
         stopped_m = abs(level.down_m(level.end_s) - z)
         return level if stopped_m < beyond_m else None
 
@@ -252,10 +255,10 @@ class ReferenceGenerator:
         rises = level is None and start.velocity_m_s[2] < 0.0
         if too_low and (rises or (level is not None and now_s >= level.end_s)):
             climb_m = z - lowest_down_m
-            duration_s = self._config.minimum_time_s + REST_PEAK * climb_m / self._config.vertical_speed_m_s
+            duration_s = self.limits.minimum_time_s + REST_PEAK * climb_m / self.limits.vertical_speed_m_s
             level = plan(upright, Motion((0.0, 0.0, lowest_down_m)), now_s, duration_s)
         elif level is None:
-            level = brake(upright, now_s, _LEVEL_OFF_M_S2)
+            level = brake(upright, now_s, HARD_STOP_M_S2)
         self._level = level
         return climb_m
 
@@ -296,7 +299,7 @@ class ReferenceGenerator:
     def turn(self, heading_rad: float | None, now_s: float, pad_rate_rad_s: float = 0.0) -> None:
         """Slew the heading towards one, or keep it; a turning pad is caught up with at the rate allowed."""
         if heading_rad is not None and self._turned_s is not None:
-            rate_rad_s = math.radians(self._config.heading_rate_deg_s) + abs(pad_rate_rad_s)
+            rate_rad_s = math.radians(self.limits.heading_rate_deg_s) + abs(pad_rate_rad_s)
             most = rate_rad_s * max(0.0, now_s - self._turned_s)
             error = wrap_angle(heading_rad - self.heading_rad)
             self.heading_rad = wrap_angle(self.heading_rad + max(-most, min(most, error)))

@@ -5,7 +5,6 @@ the flown path is in the EKF's NED. m, s.
 """
 
 import math
-from typing import Final
 
 import numpy as np
 
@@ -14,10 +13,7 @@ from companion.base.motion import Motion
 from companion.config import ConfigError, MissionConfig, PlanConfig
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
-from companion.plan.trajectory.reference_generator import ReferenceGenerator
-
-# The reference passes through a point exactly: this near to it, it has.
-_PASSED_M: Final = 0.5
+from companion.plan.trajectory.reference_generator import SAME_POINT_M, ReferenceGenerator
 
 
 def check_places(config: PlanConfig, vehicle_radius_m: float) -> None:
@@ -72,7 +68,7 @@ class Waypoints:
     def step(self, actual: Motion, home_ned_m: Vector3, now_s: float) -> DetectedEvent | None:
         """One cycle with control ours; `actual` and home are in the EKF's NED."""
         reference = self._generator.at(now_s).position_m
-        while self._left and math.dist(reference, add(self._left[0], home_ned_m)) <= _PASSED_M:
+        while self._left and math.dist(reference, add(self._left[0], home_ned_m)) <= SAME_POINT_M:
             self._left.pop(0)
         last = add(self._places[-1], home_ned_m)
         self._generator.fly_along([*(add(p, home_ned_m) for p in self._left[:-1]), last], now_s)

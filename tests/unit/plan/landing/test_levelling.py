@@ -7,7 +7,8 @@ import pytest
 from companion.base.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
 from companion.base.messages import LandedState, RangeSample
 from companion.plan.events import MissionEvent
-from companion.plan.landing.levelling import AFTER_S, CONTACT_STD_M, TILTS_ON_S, Levelling, TiltPrediction
+from companion.plan.landing.contact import RESPONDS_S
+from companion.plan.landing.levelling import AFTER_S, CONTACT_STD_M, Levelling, TiltPrediction
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,
@@ -28,7 +29,7 @@ DROP_M = VEHICLE.foot_reach_m * math.sin(math.radians(CONFIG.contact_tilt_deg)) 
 def lead_after(excess_m_s2: float) -> float:
     """How long before the contact it levels off a tilt that is so much more than it may have then."""
     sink_m_s = min(CONFIG.firm_contact_m_s, excess_m_s2 * 2.0 * STD_M / CONFIG.lateral_speed_m_s)
-    return TILTS_ON_S + STD_M / max(CONFIG.contact_speed_m_s, sink_m_s) + excess_m_s2 / 8.0
+    return RESPONDS_S + STD_M / max(CONFIG.contact_speed_m_s, sink_m_s) + excess_m_s2 / 8.0
 
 
 LEAD_S = lead_after(0.0)

@@ -555,10 +555,15 @@ def test_standing_ends_only_when_the_pad_is_seen_well_below() -> None:
 
 def test_a_debounce_counts_from_the_last_break() -> None:
     held = Debounce()
-    assert held.held_s(True, 1.0) == 0.0
-    assert held.held_s(True, 1.5) == 0.5
-    assert held.held_s(False, 1.6) < 0.0
-    assert held.held_s(True, 2.0) == 0.0
+    assert held.held_s("down", True, 1.0) == 0.0
+    assert held.held_s("down", True, 1.5) == 0.5
+    assert held.held_s("still", True, 1.5) == 0.0
+    assert held.held_s("down", False, 1.6) < 0.0
+    assert held.held_s("down", True, 2.0) == 0.0
+    assert held.held_s("still", True, 2.0) == 0.5
+    held.end("still")
+    assert held.held_s("down", True, 3.0) == 1.0
+    assert held.held_s("still", True, 3.0) == 0.0
 
 
 def descent(touchdown: Attempt, lags_m: float, sink_m_s: float, count: int = 15) -> ReferenceGenerator:

@@ -340,7 +340,7 @@ def test_over_a_pad_that_passes_beneath_a_gantry_it_goes_along_higher_up_and_com
         if k == 0:
             g.start("pad", Motion((0.0, 0.0, -7.0)), t)
         g.fly_to(Motion((0.0, 0.0, -1.5)), t)
-        waited += g.avoidance.waiting
+        waited += g.avoidance.situation == "waiting_over"
         assert not g.avoidance.blocked
         flown.append(relative(g, pad, t))
         heights.append(-g.at(t).position_m[2])
