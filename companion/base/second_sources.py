@@ -20,8 +20,8 @@ SIGMA_THRESHOLD: Final = 3.0
 class Reaction(StrEnum):
     """What follows in flight, where control is ours."""
 
-    HAND_BACK = "control returns to the autopilot at once; in the last centimetres by LAND"
-    HAND_BACK_AWAY = "control returns to the autopilot at once; not in approach, descent or touchdown"
+    HAND_BACK = "control returns to the autopilot at once; in the final descent the app commands LAND"
+    HAND_BACK_AWAY = "control returns to the autopilot at once, except in approach, descent and touchdown"
     LEAVE_PAD = "the vehicle climbs clear of the pad, then control returns to the autopilot"
     NOTICE = "a notice"
 
@@ -136,9 +136,9 @@ ROWS: Final = (
         unit="deg",
         # the standard deviation holds what model and setting may err by
         notice=0.0,
-        before="announced; a wrong heading that follows from it is refused as heading",
+        before="announced; if the heading is wrong because of it, the row heading refuses",
         in_flight="learnt from the GPS velocities of the first manoeuvres",
-        hint="leave estimate.magnetic_field_ned_ut out: the model's is taken",
+        hint="remove estimate.magnetic_field_ned_ut: the app then uses the model",
     ),
     SourceRow(
         Quantity.HEIGHT_OVER_PAD,
@@ -171,7 +171,7 @@ ROWS: Final = (
     SourceRow(
         Quantity.CAMERA_DELAY,
         first="stamps with camera_time_offset_s",
-        second="the pad's jumps against the gyroscope's turns",
+        second="the pad's apparent motion while the gyroscope measures a turn",
         unit="ms",
         notice=20.0,
         bound=90.0,
@@ -191,7 +191,7 @@ ROWS: Final = (
     SourceRow(
         Quantity.LINK_DELAY,
         first="half of TIMESYNC's round trip",
-        second="the camera's sight of the turns that the link reports",
+        second="turns seen by the camera against the same turns by telemetry",
         unit="ms",
         notice=20.0,
         # twice of it the IMU's samples are late, a message besides; for 0.1 s an acceleration is carried on
@@ -210,7 +210,7 @@ ROWS: Final = (
     SourceRow(
         Quantity.VISION_RATE,
         first="the camera's file",
-        second="frames looked at",
+        second="frames processed",
         unit="Hz",
         before="not compared",
         in_flight="without sightings the descent stops",
@@ -223,8 +223,8 @@ ROWS: Final = (
         notice=4.0,
         # grass, a place measured by a ruler: 3 cm each; a vehicle that falls from there lands at 1 m/s
         bound=5.0,
-        in_flight="the touchdown uses the mean of both, weighted by their variances, approach and descent "
-        "the file's; a height alone is no contact",
+        in_flight="approach and descent use the file's, the touchdown the mean of both, weighted by their "
+        "variances; a height alone does not count as contact",
         hint="measure from the centre of mass to the feet, and range_position_body_m",
     ),
     SourceRow(

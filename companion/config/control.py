@@ -58,8 +58,8 @@ class TrackingConfig(StrictModel):
     """Acceleration error that costs 1; lower it for smoother changes of tilt or thrust, at the price of
     lag"""
     effort_m_s2: float = Field(gt=0.0, le=100.0)
-    """Deviation that costs 1, of the command from what the reference needs; raise it to use more tilt or
-    thrust against an error, lower it for calmer flight"""
+    """Deviation of the command from the acceleration of the reference that costs 1; raise it to use more tilt
+    or thrust against an error, lower it for calmer flight"""
     effort_change_m_s2: float = Field(gt=0.0, le=100.0)
     """Change of this deviation from step to step that costs 1; lower it for smoother setpoints, raise it
     for quicker ones"""
@@ -137,10 +137,11 @@ class ControlConfig(StrictModel):
     """Greatest velocity offset that compensates a disturbance, with velocity setpoints; raise it for an
     autopilot with a larger velocity error"""
     horizontal_reach_m: float = Field(default=1.65, gt=0.0, le=20.0)
-    """A reference beyond this distance is moved to it; lower it if a far reference makes the vehicle tilt
-    too much"""
+    """Largest horizontal distance of the reference; a farther one is moved to this distance. Lower it if a
+    far reference makes the vehicle tilt too much"""
     vertical_reach_m: float = Field(default=0.7, gt=0.0, le=20.0)
-    """A reference farther above or below is moved to this distance; lower it against hard drops"""
+    """Largest vertical distance of the reference; a farther one is moved to this distance. Lower it against
+    hard drops"""
     ground_descent_m_s: float = Field(default=1.0, ge=0.1, le=1.5)
     """Descent rate commanded on the pad, so that the autopilot reduces its thrust; raise it if the
     autopilot does not detect its landing"""

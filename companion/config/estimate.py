@@ -123,7 +123,8 @@ class PadFilterConfig(StrictModel):
     remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
     """Largest delay of a sighting that is still fused; raise it for a slow camera"""
     forget_s: float = Field(default=10.0, ge=1.0, le=60.0)
-    """The pad is forgotten when unseen this long; lower it for a pad that turns often"""
+    """The pad's estimate is dropped when the pad has been unseen for this time; lower it for a pad that turns
+    often"""
 
 
 class EstimateConfig(StrictModel):
@@ -146,7 +147,7 @@ class EstimateConfig(StrictModel):
         if field is None:
             return None
         if math.hypot(field[0], field[1]) < 1.0:
-            raise ValueError(f"expected a horizontal field of at least 1 µT to tell north by, found {field}")
+            raise ValueError(f"expected a horizontal field of at least 1 µT for a heading, found {field}")
         if not 15.0 <= math.hypot(*field) <= 100.0:
             raise ValueError(f"expected a size of 15 to 100 µT, as on Earth, found {field}")
         return field

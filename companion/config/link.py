@@ -47,10 +47,10 @@ class LinkConfig(StrictModel):
     maximum_pad_speed_m_s: float = Field(default=8.0, gt=0.0, le=30.0)
     """A pad position report with a greater speed is refused; raise it for faster pads"""
     heartbeat_timeout_s: float = Field(default=3.0, ge=1.0, le=30.0)
-    """No heartbeat this long: the link is lost. Longer is worse: the app flies on old telemetry. Raise it
-    only on a radio that loses heartbeats"""
+    """The link counts as lost after this time without a heartbeat. Longer is worse: the app flies on old
+    telemetry. Raise it only on a radio that loses heartbeats"""
     command_timeout_s: float = Field(default=0.5, ge=0.1, le=5.0)
-    """A command is repeated after this long without an answer; raise it on a slow radio"""
+    """A command is repeated after this time without an answer; raise it on a slow radio"""
     command_tries: int = Field(default=4, ge=1, le=10)
     """Tries of a command before it is given up; raise it for a lossy link"""
     force_disarm: bool = Field(default=True)

@@ -42,7 +42,7 @@ class SearchConfig(StrictModel):
     """Least height over home and over the last echoes while the pad is unseen; raise it over uneven ground;
     lower is worse: a pad that is not seen may stand above the ground"""
     sightings: int = Field(default=5, ge=1, le=100)
-    """This number of sightings confirm a pad; raise it where false markers occur"""
+    """Number of sightings that confirm a pad; raise it where false markers occur"""
     velocity_std_m_s: float = Field(default=0.5, gt=0.0, le=5.0)
     """Uncertainty of the pad's velocity below which the approach begins. Larger is worse: the approach
     begins with an uncertain motion of the pad. Lower it for fast pads"""
@@ -97,24 +97,24 @@ class TouchdownConfig(StrictModel):
     """Time for which every condition of the final descent has to hold; raise it for a steadier vehicle at
     contact, after a longer wait"""
     gentle_horizontal_m_s2: float = Field(default=1.2, gt=0.0, le=5.0)
-    """The pad's horizontal acceleration stays below this at a gentle moment; raise it for a pad that always
-    turns harder"""
+    """Largest horizontal acceleration of the pad at contact; raise it for a pad that always turns harder"""
     gentle_vertical_m_s2: float = Field(default=0.2, gt=0.0, le=5.0)
     """Largest vertical acceleration of the pad at contact; raise it for a deck in heavy sea"""
     contact_tilt_deg: float = Field(default=7.0, ge=1.0, le=30.0)
     """Largest tilt at contact, to which the vehicle levels; raise it for wind in which it cannot level;
     more is worse: one foot touches first, and the vehicle slides"""
     gentle_tilt_m_s2: float = Field(default=1.6, gt=0.0, le=6.0)
-    """Largest horizontal acceleration, wind included, that following the pad may need at a gentle moment;
-    raise it in strong wind. Contact is never accepted if the vehicle cannot level within contact_tilt_deg
+    """Largest horizontal acceleration, wind included, that following the pad may need at contact; raise it in
+    strong wind. Contact is never accepted if the vehicle cannot level within contact_tilt_deg
     and lateral_speed_m_s"""
     contact_deck_tilt_deg: float = Field(default=5.0, ge=1.0, le=30.0)
     """Largest predicted tilt of a swinging deck at contact; the limit widens with the length of a try.
     Raise it for a wide landing gear on a rough sea"""
     gentle_wait_s: float = Field(default=5.0, ge=0.5, le=60.0)
-    """Time to wait for a gentle moment. After it the pad's acceleration no longer counts, and a lull of the
-    wind is enough. After twice this time the tolerances for offset and speed are 1.5 times as wide, and those
-    for tilt and drift widen steadily; after six times the try has failed. Raise it on a rough deck"""
+    """Time to wait for a moment in which the pad's acceleration and the wind allow contact. After it the
+    pad's acceleration no longer counts, and a lull of the wind is enough. After twice this time the
+    tolerances for offset and speed are 1.5 times as wide, and those for tilt and drift widen steadily; after
+    six times the try has failed. Raise it on a rough deck"""
     contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
     """Sink rate at contact, relative to the pad; lower it for fragile legs; higher is worse: a harder
     contact, and a bounce"""
@@ -146,7 +146,7 @@ class TouchdownConfig(StrictModel):
     """Lateral offset in the final descent beyond which the vehicle climbs and tries again. Larger is worse:
     a foot may miss the pad. Raise it for a large pad, lower it for a small one"""
     contact_margin_m: float = Field(default=0.02, gt=0.0, le=0.2)
-    """Feet nearer to the pad than this count as low; raise it if the height is uncertain"""
+    """Height of the feet below which they may be on the pad; raise it if the height is uncertain"""
     contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
     """A height that shows the feet down, with a stopped sink or the autopilot's landed state, for this long
     counts as contact. Shorter is worse: a false contact reduces the thrust in the air. Raise it for a
@@ -178,7 +178,7 @@ class TouchdownConfig(StrictModel):
         if self.break_off_above_m <= 2.0 * self.contact_margin_m:
             raise ValueError(
                 f"break_off_above_m {self.break_off_above_m:g}: expected more than twice contact_margin_m, "
-                f"{self.contact_margin_m:g}; so low the feet may stand"
+                f"{self.contact_margin_m:g}, below which the feet may be on the pad"
             )
         return self
 
@@ -257,7 +257,7 @@ class PhaseTimesConfig(StrictModel):
     touchdown_s: float = Field(default=45.0, ge=5.0, le=300.0)
     """Longest touchdown, disarming included. After that a vehicle that waits or rises over the pad climbs
     clear and returns control to the autopilot; later in the touchdown LAND is commanded. Raise it if
-    waiting for a gentle moment takes longer, as in high waves"""
+    the pad rarely allows contact, as in high waves"""
     hold_s: float = Field(default=10.0, ge=1.0, le=300.0)
     """Longest hold by the app's own setpoints; then control returns to the autopilot. Shorter is worse:
     control may return low over the pad. Raise it if a pilot needs longer to take over"""
@@ -310,7 +310,7 @@ class MissionConfig(StrictModel):
     follows a pad away"""
     ceiling_m: float = Field(default=60.0, ge=5.0, le=500.0, json_schema_extra=OPERATOR)
     """Height over home at which control returns to the autopilot, with room to stop; lower it to what is
-    allowed where you fly. Higher is worse: a climb by a wrong height ends later"""
+    allowed where you fly. Higher is worse: a climb caused by a wrong height ends later"""
     pad_speed_m_s: float = Field(default=5.0, gt=0.0, le=30.0)
     """Speed of the pad above which it is not followed; raise it for a faster pad that your vehicle can keep
     up with. Higher is worse: a wrong estimate is followed, and the vehicle needs more room to stop"""
@@ -318,9 +318,9 @@ class MissionConfig(StrictModel):
     """Acceleration of the pad above which it is not followed; lower it for a vehicle that tilts little;
     higher is worse: a wrong estimate is followed"""
     largest_speed_std_m_s: float = Field(default=1.0, gt=0.0, le=10.0)
-    """Away from the pad: a larger uncertainty of our velocity ends the mission. Larger is worse: the
-    vehicle flies on with an uncertain speed. Lower it near people or walls, raise it for a poor GPS
-    receiver over open ground"""
+    """Largest standard deviation of our velocity away from the pad; beyond it the mission ends. Larger is
+    worse: the vehicle flies on with an uncertain speed. Lower it near people or walls, raise it for a poor
+    GPS receiver over open ground"""
     largest_round_trip_s: float = Field(default=0.3, gt=0.0, le=2.0)
     """Round-trip time of TIMESYNC above which setpoints arrive too late: control returns to the autopilot,
     and no flight begins. Longer is worse: late setpoints make the vehicle swing. Lower it for a vehicle
@@ -330,9 +330,9 @@ class MissionConfig(StrictModel):
     which holds. Set it to your battery; longer is worse: only this limit ends a flight that repeats its
     phases without end"""
     action_retry_s: float = Field(default=2.0, ge=0.2, le=30.0)
-    """A refused request is repeated after this; raise it for an autopilot that answers slowly"""
+    """A refused request is repeated after this time; raise it for an autopilot that answers slowly"""
     action_answer_s: float = Field(default=6.0, ge=0.5, le=60.0)
-    """A request without an answer counts as refused after this; raise it for a slow link"""
+    """A request without an answer counts as refused after this time; raise it for a slow link"""
     action_attempts: int = Field(default=4, ge=1, le=20)
     """A request is given up after this number of tries; raise it for a lossy link"""
     phases: PhaseTimesConfig = PhaseTimesConfig()

@@ -235,7 +235,7 @@ class ModelConfig(StrictModel):
     thrust_coefficient_n_s2: float = Field(gt=1e-8, le=1e-2)
     """B: thrust divided by the square of the rotor speed"""
     torque_coefficient_n_m_s2: float = Field(gt=1e-10, le=1e-3)
-    """D: reaction torque divided by the same"""
+    """D: reaction torque divided by the square of the rotor speed"""
     rotor_inertia_kg_m2: float = Field(ge=0.0, le=0.01)
     """J_TP: moment of inertia of one rotor about its axis"""
     max_rotor_speed_rad_s: float = Field(gt=100.0, le=5000.0)
@@ -255,9 +255,9 @@ class VehicleConfig(StrictModel):
     """Rotation of the camera, clockwise seen from above; 0: the image's top edge points forward. `companion
     check --pad` finds an error of 90°"""
     camera_tilt_deg: float = Field(default=0.0, ge=-90.0, le=90.0)
-    """0: straight down; positive looks forward"""
+    """Tilt of the camera; 0: it looks straight down, positive: forward"""
     camera_roll_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
-    """About the forward axis, before tilt and yaw; positive looks to the left"""
+    """Rotation of the camera about the forward axis, before tilt and yaw; positive: it looks to the left"""
     camera_time_offset_s: float = Field(default=0.0, ge=-0.5, le=0.5)
     """Added to every frame's stamp: negative when late; `calibrate-mount` measures it"""
     range_position_body_m: Vector

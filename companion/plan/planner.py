@@ -365,7 +365,7 @@ class Planner:
             self._generator.stop()
             self._say("pilot", reason, now_s, "warning")
         if ActionKind.LEAVE_OFFBOARD in {action.kind for action in branch.actions}:
-            self._say("leave_offboard", "mode Hold instead of OFFBOARD, so that it can be armed", now_s)
+            self._say("leave_offboard", "mode changed to Hold: PX4 does not arm in OFFBOARD", now_s)
         if Effect.SEARCH_FROM_HERE in branch.effects:
             self._steering.search_from_here(inputs, now_s)
         if Effect.NO_NEW_TRY in branch.effects:

@@ -135,7 +135,7 @@ def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite:
     if written is not None:
         say(console, f"table written: {written}")
     elif how == "computed":
-        say(console, "no table belongs to these rules: computed anew, at each start; see --write-table")
+        say(console, "no stored table for these rules: it is computed at each start; see --write-table")
     if plot is not None:
         draw(read, table, plot)
         say(console, f"picture: {plot}")

@@ -82,7 +82,7 @@ def _signs(inputs: PlanInputs, *, control_granted: bool, taken_over: bool) -> It
     if not autopilot.connected:
         yield E.LINK_LOST, f"no heartbeat from the autopilot{refused_words(autopilot)}"
     elif inputs.link.lost:
-        words = f"nothing has shown for {inputs.link.silent_s:.0f} s that the autopilot hears us"
+        words = f"no sign for {inputs.link.silent_s:.0f} s that the autopilot receives the app"
         yield E.LINK_LOST, words
     else:
         yield E.LINK_UP, "heartbeat again"

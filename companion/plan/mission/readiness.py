@@ -39,7 +39,7 @@ def offboard_words(autopilot: AutopilotState) -> str:
     """Why a PX4 that was found in OFFBOARD is not ready to arm, to follow other words; "" for any other."""
     if not in_offboard(autopilot):
         return ""
-    return " (in OFFBOARD PX4 is not, without setpoints: change its mode, for example to Hold)"
+    return " (PX4 does not arm in OFFBOARD without setpoints: change its mode, for example to Hold)"
 
 
 def late_words(autopilot: AutopilotState, mission: MissionConfig) -> str:
@@ -61,7 +61,7 @@ def not_ready_to_arm(inputs: PlanInputs, mission: MissionConfig, now_s: float) -
     if not autopilot.ready_to_arm:
         yield f"autopilot not ready to arm{offboard_words(autopilot)}"
     if autopilot.ekf_ready is False:
-        yield "no position estimate of the autopilot's"
+        yield "autopilot has no position estimate"
     if vehicle is None or not vehicle.aligned:
         yield "attitude not aligned"
     if vehicle is None or not vehicle.has_gps or vehicle.origin is None:

@@ -165,7 +165,7 @@ def _fence(off: Callable[[float], bool]) -> _Judge:
         if not wanted.sends_attitude or wanted.setup.drift_ends is not False or not off(value):
             return None
         return _warn(
-            f"when setpoints stop it drifts level with the wind, and {endless_drift(wanted.system_id)}"
+            f"when setpoints stop, the vehicle drifts with the wind, and {endless_drift(wanted.system_id)}"
         )
 
     return judge
@@ -173,11 +173,14 @@ def _fence(off: Callable[[float], bool]) -> _Judge:
 
 def _offboard_loss(value: float, _: Wanted) -> Verdict:
     if value in MOTOR_STOP_ACTIONS:
-        return _fail("expected 5 (Hold) or 4 (Land): the motors stop when the app does; control is refused")
+        return _fail(
+            "expected 5 (Hold) or 4 (Land): with this value PX4 stops the motors when the app stops; "
+            "control is refused"
+        )
     if value in STICK_ACTIONS:
         return _warn(
-            f"expected 5 (Hold) or 4 (Land): {STICK_ACTIONS[round(value)]} is for a pilot at the sticks; "
-            "with nobody there it comes down with the speed over ground it has"
+            f"expected 5 (Hold) or 4 (Land): {STICK_ACTIONS[round(value)]} needs a pilot's sticks; "
+            "without them the vehicle descends at its present speed over ground"
         )
     return None
 
@@ -198,8 +201,8 @@ def _tilt(scale: float) -> _Rule:
         if scale * value >= wanted.tilt_deg:
             return None
         return _warn(
-            f"expected {wanted.tilt_deg / scale:g} or more (control.limits.tilt_deg): the app takes the "
-            "smaller one, and follows fast pads less well in wind"
+            f"expected {wanted.tilt_deg / scale:g} or more (control.limits.tilt_deg): the app uses the "
+            "smaller limit and follows fast pads less well in wind"
         )
 
     def target(_value: float, wanted: Wanted, _read: ParameterReadings) -> float:
@@ -213,7 +216,7 @@ def _hover_thrust(value: float, wanted: Wanted) -> Verdict:
         return None
     return _warn(
         f"the vehicle's file says hover_thrust {wanted.hover_thrust:g}: one of the two is wrong, and "
-        "control begins by sinking or climbing; hover once and compare"
+        "the vehicle will sink or climb when the app takes control; hover once and compare"
     )
 
 
@@ -221,7 +224,7 @@ def _thrust_is_thrust(value: float, wanted: Wanted) -> Verdict:
     if not wanted.sends_attitude or int(value) & THRUST_IS_THRUST:
         return None
     needed = int(value) | THRUST_IS_THRUST
-    why = f"expected {needed} (bit 3): without it our thrust is taken for a climb rate"
+    why = f"expected {needed} (bit 3): without it ArduPilot takes the app's thrust for a climb rate"
     if wanted.may_set:
         return _warn(f"{why}; link.set_parameters lets the app set it before it arms")
     return _fail(f"{why}, and control is refused")
@@ -231,25 +234,29 @@ def _speed(key: str, pick: Callable[[Wanted], float]) -> _Rule:
     def judge(value: float, wanted: Wanted) -> Verdict:
         if value >= pick(wanted):
             return None
-        return _warn(f"expected {pick(wanted):g} or more (control.limits.{key}): setpoints are cut to it")
+        return _warn(
+            f"expected {pick(wanted):g} or more (control.limits.{key}): the autopilot limits setpoints"
+        )
 
     return _Rule(judge, lambda _value, wanted, _read: pick(wanted))
 
 
 def _land_speed(unit: float, name: str) -> _Judge:
     most = unit * _FASTEST_LAND_CM_S
-    text = f"expected at most {most:g} {name}: LAND sets it down if the pad is lost low"
+    text = f"expected at most {most:g} {name}: LAND finishes the landing if the pad is lost low"
     return lambda value, _: None if value <= most else _warn(text)
 
 
 def _velocity_shaping(value: float, wanted: Wanted) -> Verdict:
     if not wanted.sends_velocity or value > 0.0:
         return None
-    return _warn("expected more than 0: velocity setpoints are shaped by it")
+    return _warn("expected more than 0: ArduPilot shapes velocity setpoints by this limit")
 
 
-_STAYS_ARMED: Final = "expected more than 0: on the pad it does not disarm by itself; the app has to"
-_NO_STICKS: Final = "in Offboard only the mode switch takes over, the sticks do not"
+_STAYS_ARMED: Final = (
+    "expected more than 0: with 0 the autopilot does not disarm by itself on the pad; the app has to"
+)
+_NO_STICKS: Final = "without it only the mode switch takes over in Offboard, not the sticks"
 
 
 def _exactly(expected: float, why: str) -> _Rule:
@@ -261,7 +268,7 @@ def _exactly(expected: float, why: str) -> _Rule:
 def _lag(value: float, _: Wanted) -> Verdict:
     if value > _DEFAULT_LAG_S:
         return None
-    return _warn("expected the delay to what is sent that `companion status` shows: its default is too short")
+    return _warn("expected the latency that `companion status` shows: the default is too short")
 
 
 def _moving_target(value: float, wanted: Wanted) -> Verdict:
@@ -311,8 +318,8 @@ RULES: Final[dict[AutopilotKind, dict[str, _Rule]]] = {
         "MPC_THR_HOVER": _Rule(_hover_thrust),
         "MPC_USE_HTE": _Rule(
             _positive(
-                "expected 1: the hover thrust is not learnt; height and land detector suffer as the battery "
-                "sinks"
+                "expected 1: otherwise PX4 does not adapt the hover thrust as the battery voltage falls, and "
+                "height and land detector get worse"
             ),
             _to(1.0),
         ),
@@ -329,7 +336,7 @@ RULES: Final[dict[AutopilotKind, dict[str, _Rule]]] = {
         "MOT_THST_HOVER": _Rule(_hover_thrust),
         "FS_THR_ENABLE": _Rule(
             _positive(
-                "expected an action (1 RTL, 3 Land, ...): the loss of the remote control is not noticed"
+                "expected an action (1 RTL, 3 Land, ...): with 0 the loss of the remote control has no effect"
             ),
             _to(1.0),
         ),

@@ -46,7 +46,7 @@ def test_a_field_of_another_place_is_announced_once_a_fix_is_there_and_not_refus
     assert sources.look() == (found,)
     (text,) = told
     assert text.startswith("magnetic declination: magnetic_field_ned_ut 1.6 deg, ")
-    assert text.endswith(" apart: leave estimate.magnetic_field_ned_ut out: the model's is taken")
+    assert text.endswith(" apart: remove estimate.magnetic_field_ned_ut: the app then uses the model")
     sources.begin()
     sources.look()
     assert told == [text, text]

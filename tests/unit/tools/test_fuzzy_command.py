@@ -58,7 +58,7 @@ def test_rules_that_rush_are_reported_and_fail(tmp_path: Path) -> None:
     rushed = {distance: row[::-1] for distance, row in RULES.items()}
     result = CliRunner().invoke(cli, ["fuzzy", str(mine(tmp_path, rushed)), *FEW])
     assert result.exit_code == 1
-    assert "no table belongs to these rules" in result.output
+    assert "no stored table for these rules" in result.output
     assert "never faster when already closing faster: BROKEN, by up to" in result.output
 
 

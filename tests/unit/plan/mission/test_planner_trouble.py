@@ -46,7 +46,7 @@ def test_an_autopilot_whose_filter_does_not_know_where_it_is_is_not_asked_to_arm
     w.autopilot.ekf_ready_from_s = 30.0
     flight = w.fly(60.0)
     assert min(t for t, kind in w.autopilot.heard if kind is ActionKind.ARM) > 30.0
-    assert "waiting: no position estimate of the autopilot's" in flight.told("waiting")
+    assert "waiting: autopilot has no position estimate" in flight.told("waiting")
 
 
 def test_a_take_off_whose_answers_are_lost_is_landed_not_left_in_the_air() -> None:
@@ -77,7 +77,7 @@ def test_a_px4_is_put_into_hold_once_it_is_disarmed_in_offboard() -> None:
     w.fly(5.0, until=lambda _w: False)
     assert w.autopilot.mode == "LOITER"
     assert [kind for _, kind in w.autopilot.heard][-2:] == [ActionKind.LEAVE_OFFBOARD] * 2
-    assert flight.told("leave_offboard") == ["mode Hold instead of OFFBOARD, so that it can be armed"]
+    assert flight.told("leave_offboard") == ["mode changed to Hold: PX4 does not arm in OFFBOARD"]
 
 
 def test_after_the_landing_a_pilots_mode_stays_and_so_does_guided() -> None:
@@ -297,7 +297,7 @@ def test_on_the_way_it_is_handed_back_and_said(change: dict[str, Any], said: str
         ({"round_trip_s": 0.5}, "link late: round trip 0.50 s, limit 0.3"),
         ({"battery_share": 0.25}, "battery low: 25 % left, limit 25 %"),
         ({"ready_from_s": 1e9}, "waiting: autopilot not ready to arm"),
-        ({"ready_from_s": 1e9, "mode": "OFFBOARD"}, "in OFFBOARD PX4 is not, without setpoints"),
+        ({"ready_from_s": 1e9, "mode": "OFFBOARD"}, "PX4 does not arm in OFFBOARD without setpoints"),
     ],
 )
 def test_with_what_stands_against_it_nobody_takes_off_and_it_is_said(

@@ -58,4 +58,4 @@ def test_the_field_that_is_set_is_judged_at_our_fix_before_the_autopilots_home()
         assert told.state is FindingState.WARNING
         assert "magnetic_field_ned_ut 1.6 deg, the World Magnetic Model" in told.detail
         assert " -26.7 deg [9.6, " in told.detail
-        assert told.hint == "leave estimate.magnetic_field_ned_ut out: the model's is taken"
+        assert told.hint == "remove estimate.magnetic_field_ned_ut: the app then uses the model"
