@@ -15,7 +15,7 @@ import typer
 from calibration.command_line import RefusedError, listed, today
 from calibration.mount.command import FACES
 from calibration.mount.record_motion import SensorOpener, connected_sensors, new_log, read_imu, until_done
-from calibration.mount.recording import ImuSamples, inertial_of, read_log
+from calibration.mount.recording import ImuSamples, inertial_of
 from calibration.mount.result import judge, provenance, write_file
 from calibration.mount.six_faces import (
     AccelerometerFit,
@@ -48,7 +48,8 @@ from companion.config import (
     load_config,
     load_model,
 )
-from companion.flightlog.log_file import log_file
+from companion.flightlog.log_file import find_log
+from companion.flightlog.replay.mcap_log import read_mcap
 from companion.pad import load_pad
 from companion.sense.imu.mounting import mounting_matrix
 from companion.sense.imu.mpu9250 import Mpu9250
@@ -166,8 +167,8 @@ def _rested(job: ImuJob, log: Path, imu: ImuConfig) -> StaticRecording:
     if not log.is_dir() and log.suffix != ".mcap":
         samples = read_table(log, job.columns, job.rate_hz, job.gyro_unit)
         return StaticRecording(find_static_intervals(samples), str(log), imu)
-    file = log_file(log)
-    record = read_log(file)
+    file = find_log(log)
+    record = read_mcap(file)
     if record.rig is not None and record.rig.config.sense.source != "boards":
         raise ConfigError(
             f"{file}: its inertial samples are the autopilot's; expected a recording of the board's "

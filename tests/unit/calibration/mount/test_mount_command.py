@@ -186,7 +186,7 @@ def test_an_autopilot_s_rests_are_not_the_chip_s(tmp_path: Path, capsys: pytest.
     ("words", "line"),
     [
         (("camera", "absent"), "cannot be read"),
-        (("camera", "README.md"), "not a flight log of ours"),
+        (("camera", "README.md"), "no recording of flights"),
         (("accelerometer", "README.md"), "expected a table"),
         (("accelerometer", "absent.csv"), "cannot be read"),
         (("accelerometer", "absent.csv", "--gyro-unit", "rpm"), "--gyro-unit rpm: expected rad/s or deg/s"),
