@@ -33,7 +33,7 @@ from companion.config import (
     VisionConfig,
     validate,
 )
-from companion.flightlog.log_file import SETTINGS_RECORD, LogReader, find_log
+from companion.flightlog.log_file import LogReader, find_log
 from companion.flightlog.replay.flight_record import FlightRecord, ReplaySetup
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.pad import Pad
@@ -89,8 +89,7 @@ def read_recording(path: Path, camera: CameraConfig | None = None) -> MountRecor
         raise ConfigError(f"{file}: holds no settings of a camera; {EXPECTED}")
     used = camera or rig.camera
     notes = [*record.notes, *([record.cut] if record.cut else [])]
-    settings = _settings(file)
-    sightings, how = _sightings(file, record, rig, used, gravity_free=MARK in settings)
+    sightings, how = _sightings(file, record, rig, used, gravity_free=MARK in record.settings)
     if how:
         notes.append(how)
     inertial = inertial_of(record, file)
@@ -104,7 +103,7 @@ def read_recording(path: Path, camera: CameraConfig | None = None) -> MountRecor
         used,
         rig.pad,
         str(path),
-        _calibrated(settings, file),
+        _calibrated(record.settings, file),
         notes,
     )
 
@@ -180,15 +179,6 @@ def _sightings(
         logged,
         "the log holds no frames: its sightings are used, which had gravity by the old mounting in them",
     )
-
-
-def _settings(file: Path) -> dict[str, str]:
-    """What the log was made under, as JSON by name."""
-    reader = LogReader(file)
-    for _ in reader.messages():
-        if SETTINGS_RECORD in reader.metadata:
-            break
-    return reader.metadata.get(SETTINGS_RECORD, {})
 
 
 def _calibrated(settings: dict[str, str], file: Path) -> InertialCalibration | None:
