@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 import typer
 
 from calibration.command_line import ForceOption, PlotsOption, run
-from companion.base.command_line import VersionOption, new_app
+from companion.base.command_line import ServeOption, VersionOption, new_app
 from companion.base.errors import ConfigError
 from companion.base.files import must_exist
 
@@ -127,10 +127,7 @@ def command(
         Path | None,
         typer.Option("--overlay", help="Live: write the preview to this file every second.", metavar="PNG"),
     ] = None,
-    serve: Annotated[
-        int | None,
-        typer.Option("--serve", help="Live: show the preview in a browser on this port.", min=0, max=65535),
-    ] = None,
+    serve: ServeOption = None,
     plots: PlotsOption = None,
     force: ForceOption = False,
     version: VersionOption = False,

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from calibration.camera.board import Surface
@@ -446,7 +447,7 @@ SMALLEST_WEIGHT: Final = 0.25
 # views as like as if their common variance were known from so many errors are taken as alike
 MOST_FREEDOM: Final = 1e4
 FEWEST_FREEDOM: Final = 1.0
-WEIGHT_HALVINGS: Final = 60
+LEAST_FREEDOM: Final = 1e-3
 
 
 def weighted(solution: CameraSolution) -> CameraSolution:
@@ -488,10 +489,7 @@ def empirical_bayes_variance(variances: FloatArray, freedom: FloatArray) -> tupl
     excess = float(np.var(logs, ddof=1) - np.mean(polygamma(1, 0.5 * freedom)))
     worth = MOST_FREEDOM
     if excess > float(polygamma(1, 0.5 * MOST_FREEDOM)):
-        low, high = 1e-3, MOST_FREEDOM
-        for _ in range(WEIGHT_HALVINGS):
-            worth = float(np.sqrt(low * high))
-            low, high = (worth, high) if float(polygamma(1, 0.5 * worth)) > excess else (low, worth)
+        worth = brentq(lambda n: float(polygamma(1, 0.5 * n)) - excess, LEAST_FREEDOM, MOST_FREEDOM)
     return float(np.exp(np.mean(logs) + digamma(0.5 * worth) - np.log(0.5 * worth))), worth
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
+from scipy.spatial.transform import Rotation
 
 from calibration.magnetometer.ellipsoid import (
     CELLS,
@@ -200,14 +201,7 @@ def _turn(wanted: FloatArray, now: FloatArray) -> FloatArray:
 
 def _lowest(turn: FloatArray, down: FloatArray) -> str:
     """Which face of the vehicle is lowest after the turn."""
-    angle = float(np.linalg.norm(turn))
-    axis = turn / max(angle, 1e-12)
-    # Rodrigues' formula, backwards: the vehicle turns, down stays
-    after = (
-        down * math.cos(angle)
-        - np.cross(axis, down) * math.sin(angle)
-        + axis * float(axis @ down) * (1.0 - math.cos(angle))
-    )
+    after = Rotation.from_rotvec(turn).apply(down, inverse=True)  # the vehicle turns, down stays
     face = int(np.argmax(np.abs(after)))
     return _FACES[face][0 if after[face] > 0.0 else 1]
 

@@ -1,12 +1,12 @@
 """`calibrate-magnetometer`: options and help. Samples in, calibration file, figures and picture out."""
 
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import typer
 
-from calibration.command_line import run
-from companion.base.command_line import VersionOption, new_app
+from calibration.command_line import ForceOption, run
+from companion.base.command_line import ServeOption, VersionOption, new_app
 from companion.base.files import must_be_readable, must_exist
 
 PROGRAM: Final = "calibrate-magnetometer"
@@ -92,30 +92,19 @@ def calibrate_command(
         ),
     ] = None,
     sensor: Annotated[
-        str, typer.Option("--sensor", help="Sensor of a table: mpu9250, autopilot or other.", metavar="NAME")
+        Literal["mpu9250", "autopilot", "other"], typer.Option("--sensor", help="Sensor of a table.")
     ] = "other",
     align: Annotated[
         bool, typer.Option("--align", help="Also correct the misalignment to the accelerometer.")
     ] = False,
     fit: Annotated[
-        str,
-        typer.Option("--fit", help="Objective to minimise: auto, likelihood or residual.", metavar="NAME"),
+        Literal["auto", "likelihood", "residual"], typer.Option("--fit", help="Objective to minimise.")
     ] = "auto",
-    serve: Annotated[
-        int | None,
-        typer.Option("--serve", help="Live: show the coverage in a browser on this port.", metavar="PORT"),
-    ] = None,
+    serve: ServeOption = None,
     time_limit_s: Annotated[
         float, typer.Option("--time-limit", help="Live: stop after this many seconds.", metavar="S", min=1.0)
     ] = 300.0,
-    force: Annotated[
-        bool,
-        typer.Option(
-            "--force",
-            help="Write the file even if it is refused; the file says so. "
-            "Samples that determine no calibration (in a plane) leave nothing to write.",
-        ),
-    ] = False,
+    force: ForceOption = False,
     version: VersionOption = False,
 ) -> None:
     if recording is not None:

@@ -46,7 +46,7 @@ class MagnetometerCalibrationJob:
     recording: Path | None
     columns: str | None
     unit: str | None
-    sensor: str
+    sensor: Sensor
     bus: str | None
     connect: str | None
     time_limit_s: float
@@ -55,7 +55,7 @@ class MagnetometerCalibrationJob:
     position: str | None
     date: str | None
     align: bool
-    objective: str
+    objective: Asked
     output: Path
     picture: Path | None
     force: bool
@@ -66,15 +66,13 @@ def calibrate_magnetometer(job: MagnetometerCalibrationJob) -> None:
     # a file or a pipe has no width: no figure is broken across lines there
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
     settings = CompanionConfig() if job.config is None else load_config(job.config)
-    sensor: Sensor = _choice("--sensor", job.sensor, ("mpu9250", "autopilot", "other"))  # type: ignore[assignment]
-    objective: Asked = _choice("--fit", job.objective, ("auto", "likelihood", "residual"))  # type: ignore[assignment]
     year = year_of(job.date)
     field = field_by(job.position, year, settings, job.config)
     _check_outputs(job)
-    taken = _samples(job, sensor, field, settings, console)
+    taken = _samples(job, field, settings, console)
     if field is None and taken.place is not None:
         field = field_at(taken.place, year, f"{taken.source}'s own position")
-    done = _calibrated(taken, field, objective, job)
+    done = _calibrated(taken, field, job)
     console.print(result_table(done, field))
     refused = done.file.quality.verdict == "refused" and not job.force
     for line in lines(done, refused=refused):
@@ -93,11 +91,7 @@ def _check_outputs(job: MagnetometerCalibrationJob) -> None:
 
 
 def _samples(
-    job: MagnetometerCalibrationJob,
-    sensor: Sensor,
-    field: TrueField | None,
-    settings: CompanionConfig,
-    console: Console,
+    job: MagnetometerCalibrationJob, field: TrueField | None, settings: CompanionConfig, console: Console
 ) -> MagnetometerRecording:
     if job.recording is None:
         return run_until_stopped(_live(job, settings, console))
@@ -107,7 +101,7 @@ def _samples(
         job.recording,
         columns=job.columns,
         unit=job.unit,
-        sensor=sensor,
+        sensor=job.sensor,
         field_ut=None if field is None else field.strength_ut,
         rng=np.random.default_rng(_SEED),
     )
@@ -137,10 +131,7 @@ async def _live(
 
 
 def _calibrated(
-    taken: MagnetometerRecording,
-    field: TrueField | None,
-    objective: Asked,
-    job: MagnetometerCalibrationJob,
+    taken: MagnetometerRecording, field: TrueField | None, job: MagnetometerCalibrationJob
 ) -> Calibrated:
     try:
         return calibrate(
@@ -148,7 +139,7 @@ def _calibrated(
             np.random.default_rng(_SEED),
             field=field,
             aligned=job.align,
-            objective=objective,
+            objective=job.objective,
             tool=f"{PROGRAM} {__version__}",
             date=today(),
         )
@@ -181,9 +172,3 @@ def _draw(done: Calibrated, picture: Path | None, console: Console) -> ConfigErr
         return error
     console.print(f"picture in {picture}", highlight=False, markup=False)
     return None
-
-
-def _choice(option: str, word: str, known: tuple[str, ...]) -> str:
-    if word not in known:
-        raise ConfigError(f"{option} {word}: expected {', '.join(known[:-1])} or {known[-1]}")
-    return word

@@ -122,15 +122,17 @@ _ELEMENTS: Final = ((0, 1), (0, 2), (1, 2))
 # a rotation that leaves the axes as they are: none, or "internal: the board's"
 _UNROTATED: Final = (-1.0, 0.0)
 
+# by parts: the offset, the matrix's diagonal, and its rest
+_PARTS: Final[dict[AutopilotKind, tuple[str, str, str]]] = {
+    "ardupilot": ("COMPASS_OFS_{}", "COMPASS_DIA_{}", "COMPASS_ODI_{}"),
+    "px4": ("CAL_MAG0_{}OFF", "CAL_MAG0_{}SCALE", "CAL_MAG0_{}ODIAG"),
+}
+_OTHERS: Final[dict[AutopilotKind, str]] = {"ardupilot": "COMPASS_SCALE", "px4": "CAL_MAG0_ROT"}
+# µT in one of the offset, whose sign PX4 has the other way about
+_OFFSET_UT: Final[dict[AutopilotKind, float]] = {"ardupilot": UT_PER["mG"], "px4": -UT_PER["G"]}
 NAMES: Final[dict[AutopilotKind, tuple[str, ...]]] = {
-    "ardupilot": (
-        *(f"COMPASS_{kind}_{axis}" for kind in ("OFS", "DIA", "ODI") for axis in _AXES),
-        "COMPASS_SCALE",
-    ),
-    "px4": (
-        "CAL_MAG0_ROT",
-        *(f"CAL_MAG0_{axis}{kind}" for kind in ("OFF", "SCALE", "ODIAG") for axis in _AXES),
-    ),
+    kind: (*(part.format(axis) for part in parts for axis in _AXES), _OTHERS[kind])
+    for kind, parts in _PARTS.items()
 }
 
 
@@ -155,42 +157,33 @@ class Onboard:
 def onboard_of(autopilot_kind: AutopilotKind, parameters: Mapping[str, float]) -> Onboard | None:
     """By an autopilot's parameters; None when they do not say what it does."""
     used = {name: parameters[name] for name in NAMES[autopilot_kind] if name in parameters}
+    names = [[part.format(axis) for axis in _AXES] for part in _PARTS[autopilot_kind]]
+    offset = [used.get(name) for name in names[0]]
+    diagonal, rest = [used.get(name, 1.0) for name in names[1]], [used.get(name, 0.0) for name in names[2]]
+    other, factor = used.get(_OTHERS[autopilot_kind], 0.0), 1.0
     if autopilot_kind == "ardupilot":
-        offset, unit = [used.get(f"COMPASS_OFS_{axis}") for axis in _AXES], UT_PER["mG"]
-        diagonal = [used.get(f"COMPASS_DIA_{axis}", 1.0) for axis in _AXES]
-        if not any(diagonal):  # as ArduPilot has it: none
-            diagonal = [1.0, 1.0, 1.0]
-        rest = [used.get(f"COMPASS_ODI_{axis}", 0.0) for axis in _AXES]
-        factor = used.get("COMPASS_SCALE", 0.0) or 1.0
-    else:
-        offset, unit = [used.get(f"CAL_MAG0_{axis}OFF") for axis in _AXES], -UT_PER["G"]
-        diagonal = [used.get(f"CAL_MAG0_{axis}SCALE", 1.0) for axis in _AXES]
-        rest, factor = [used.get(f"CAL_MAG0_{axis}ODIAG", 0.0) for axis in _AXES], 1.0
+        factor = other or 1.0
+        diagonal = diagonal if any(diagonal) else [1.0, 1.0, 1.0]  # as ArduPilot has it: none
     known = [value for value in offset if value is not None]
     matrix = factor * _symmetric(diagonal, rest)
-    turned = autopilot_kind == "px4" and used.get("CAL_MAG0_ROT", 0.0) not in _UNROTATED
+    turned = autopilot_kind == "px4" and other not in _UNROTATED
     if len(known) < 3 or turned or np.linalg.det(matrix) <= 0.0:
         return None
-    return Onboard(autopilot_kind, matrix, unit * np.array(known), used)
+    return Onboard(autopilot_kind, matrix, _OFFSET_UT[autopilot_kind] * np.array(known), used)
 
 
 def parameters_for(
     autopilot_kind: AutopilotKind, matrix: FloatArray, centre_ut: FloatArray
 ) -> dict[str, float]:
     """The parameters that have the autopilot reckon `matrix (raw - centre)`: a symmetric matrix, µT."""
-    rest = [float(matrix[i, j]) for i, j in _ELEMENTS]
-    if autopilot_kind == "ardupilot":
-        offsets, form = (-centre_ut / UT_PER["mG"]).tolist(), "COMPASS_{kind}_{axis}"
-        kinds, more = {"OFS": offsets, "DIA": np.diag(matrix).tolist(), "ODI": rest}, {"COMPASS_SCALE": 1.0}
-    else:
-        offsets, form = (centre_ut / UT_PER["G"]).tolist(), "CAL_MAG0_{axis}{kind}"
-        kinds, more = {"OFF": offsets, "SCALE": np.diag(matrix).tolist(), "ODIAG": rest}, {}
+    offsets = (-centre_ut / _OFFSET_UT[autopilot_kind]).tolist()
+    numbers = (offsets, np.diag(matrix).tolist(), [float(matrix[i, j]) for i, j in _ELEMENTS])
     named = {
-        form.format(kind=kind, axis=axis): value
-        for kind, values in kinds.items()
+        part.format(axis): value
+        for part, values in zip(_PARTS[autopilot_kind], numbers, strict=True)
         for axis, value in zip(_AXES, values, strict=True)
     }
-    return {**named, **more}
+    return named | ({"COMPASS_SCALE": 1.0} if autopilot_kind == "ardupilot" else {})
 
 
 def _symmetric(diagonal: list[float], off_diagonal: list[float]) -> FloatArray:

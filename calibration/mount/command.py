@@ -6,7 +6,7 @@ from typing import Annotated, Final
 import typer
 
 from calibration.command_line import ForceOption, PlotsOption, run
-from companion.base.command_line import VersionOption, new_app
+from companion.base.command_line import ServeOption, VersionOption, new_app
 from companion.base.errors import ConfigError
 from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable, must_be_writable, must_exist
 
@@ -153,10 +153,7 @@ def record_command(
     seconds: Annotated[
         float, typer.Option("--seconds", min=5.0, max=1800.0, help="Maximum duration.")
     ] = 180.0,
-    serve: Annotated[
-        int | None,
-        typer.Option("--serve", min=0, max=65535, help="Show the image in a browser on this port."),
-    ] = None,
+    serve: ServeOption = None,
 ) -> None:
     must_be_readable(config)
     from calibration.mount.record_motion import record_motion  # noqa: PLC0415 - once the settings are there

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import typer
@@ -15,7 +15,7 @@ import typer
 from calibration.command_line import RefusedError, listed, today
 from calibration.mount.command import FACES
 from calibration.mount.record_motion import SensorOpener, connected_sensors, new_log, read_imu, until_done
-from calibration.mount.recording import ImuSamples, inertial_of, read_log
+from calibration.mount.recording import ImuSamples, inertial_of
 from calibration.mount.result import judge, provenance, write_file
 from calibration.mount.six_faces import (
     AccelerometerFit,
@@ -48,7 +48,8 @@ from companion.config import (
     load_config,
     load_model,
 )
-from companion.flightlog.log_file import log_file
+from companion.flightlog.log_file import find_log
+from companion.flightlog.replay.mcap_log import read_mcap
 from companion.pad import load_pad
 from companion.sense.imu.mounting import mounting_matrix
 from companion.sense.imu.mpu9250 import Mpu9250
@@ -83,20 +84,12 @@ class StaticRecording:
     asked: tuple[str, ...] = ()
     answers: tuple[StaticInterval, ...] = ()
 
-    def unasked(self) -> StaticRecording:
-        """The same without the faces asked for: the mounting is not checked."""
-        return replace(self, asked=(), answers=())
-
 
 def calibrate_on_faces(job: ImuJob, order: str | None) -> None:
     """Collect static intervals, fit, judge and write; `order` is that of the faces in a recording."""
-    settings = load_config(job.config)
-    if job.log is None:
-        rested = run_until_stopped(faces_from(settings, job.keep, connected_sensors, virtual=False))
-    else:
-        rested = _rested(job, job.log, settings.sense.imu)
-        if order is not None:
-            rested = _ordered(rested, order)
+    rested = _collected(job, faces_from)
+    if job.log is not None and order is not None:
+        rested = _ordered(rested, order)
     calibrate_accelerometer(rested, job.output, force=job.force)
 
 
@@ -130,12 +123,8 @@ def calibrate_accelerometer(rested: StaticRecording, output: Path, *, force: boo
 
 def calibrate_gyro_bias(job: ImuJob) -> None:
     """Take the mean at rest, judge and write; an accelerometer part that is there stays."""
-    settings = load_config(job.config)
     before = load_model(InertialCalibration, job.output) if job.output.exists() else None
-    if job.log is None:
-        rested = run_until_stopped(stillness_from(settings, job.keep, connected_sensors, virtual=False))
-    else:
-        rested = _rested(job, job.log, settings.sense.imu)
+    rested = _collected(job, stillness_from)
     if not rested.rests:
         raise RefusedError(f"{rested.source}: it never lay still; expected a rest of 2 s and more")
     fit = fit_gyro(rested.rests)
@@ -161,13 +150,17 @@ def _accelerometer_of(before: InertialCalibration) -> str:
     return ACCELEROMETER_OF + (origin if mark else f"{before.provenance.source}, {before.provenance.date}")
 
 
-def _rested(job: ImuJob, log: Path, imu: ImuConfig) -> StaticRecording:
-    """The static intervals of a file."""
+def _collected(job: ImuJob, live: Callable[..., Coroutine[Any, Any, StaticRecording]]) -> StaticRecording:
+    """The static intervals of the job's file, or live."""
+    settings = load_config(job.config)
+    if job.log is None:
+        return run_until_stopped(live(settings, job.keep, connected_sensors, virtual=False))
+    imu, log = settings.sense.imu, job.log
     if not log.is_dir() and log.suffix != ".mcap":
         samples = read_table(log, job.columns, job.rate_hz, job.gyro_unit)
         return StaticRecording(find_static_intervals(samples), str(log), imu)
-    file = log_file(log)
-    record = read_log(file)
+    file = find_log(log)
+    record = read_mcap(file)
     if record.rig is not None and record.rig.config.sense.source != "boards":
         raise ConfigError(
             f"{file}: its inertial samples are the autopilot's; expected a recording of the board's "

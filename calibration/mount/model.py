@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calibration.mount.recording import ImuSamples, Indices
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
@@ -255,23 +256,10 @@ def at_times(
 SMALL_RAD = 1e-6
 
 
-def skew(v: FloatArray) -> FloatArray:
-    """Matrices (..., 3, 3) with skew(v) u = v x u, of vectors (..., 3)."""
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return out
-
-
 def exp(v: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), by Rodrigues' formula."""
-    angle = np.linalg.norm(v, axis=-1)[..., None, None]
-    safe = np.maximum(angle, SMALL_RAD)
-    near = angle < SMALL_RAD
-    first = np.where(near, 1.0, np.sin(safe) / safe)
-    second = np.where(near, 0.5, (1.0 - np.cos(safe)) / safe**2)
-    k = skew(v)
-    return np.asarray(np.eye(3) + first * k + second * (k @ k))
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3)."""
+    matrices = Rotation.from_rotvec(v.reshape(-1, 3)).as_matrix()
+    return np.asarray(matrices.reshape(*v.shape, 3))
 
 
 def log(matrices: FloatArray) -> FloatArray:

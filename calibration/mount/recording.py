@@ -33,7 +33,7 @@ from companion.config import (
     VisionConfig,
     validate,
 )
-from companion.flightlog.log_file import SETTINGS_RECORD, LogReader, log_file
+from companion.flightlog.log_file import LogReader, find_log
 from companion.flightlog.replay.flight_record import FlightRecord, ReplaySetup
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.pad import Pad
@@ -46,7 +46,6 @@ from companion.sense.vision.search import SearchPlanner
 # the chip's accelerometer is filtered a millisecond less than its gyroscope, whose delay both are stamped by
 # (register map RM-MPU-9250A-00 rev. 1.6, tables of CONFIG and ACCEL_CONFIG 2)
 FORCE_AHEAD_S: Final = 0.001
-MAGIC: Final = b"\x89MCAP0\r\n"
 # the settings record of `calibrate-mount record`, beside those of a flight
 MARK: Final = "recording"
 # and that of the inertial samples' calibration, as the app leaves it, too
@@ -83,15 +82,14 @@ def read_recording(path: Path, camera: CameraConfig | None = None) -> MountRecor
     Raises:
         ConfigError: it is no such log, or holds no inertial samples or settings.
     """
-    file = log_file(path)
-    record = read_log(file)
+    file = find_log(path)
+    record = read_mcap(file)
     rig = record.rig
     if rig is None or rig.camera is None:
         raise ConfigError(f"{file}: holds no settings of a camera; {EXPECTED}")
     used = camera or rig.camera
     notes = [*record.notes, *([record.cut] if record.cut else [])]
-    settings = _settings(file)
-    sightings, how = _sightings(file, record, rig, used, gravity_free=MARK in settings)
+    sightings, how = _sightings(file, record, rig, used, gravity_free=MARK in record.settings)
     if how:
         notes.append(how)
     inertial = inertial_of(record, file)
@@ -105,25 +103,9 @@ def read_recording(path: Path, camera: CameraConfig | None = None) -> MountRecor
         used,
         rig.pad,
         str(path),
-        _calibrated(settings, file),
+        _calibrated(record.settings, file),
         notes,
     )
-
-
-def read_log(file: Path) -> FlightRecord:
-    """Read a flight.mcap.
-
-    Raises:
-        ConfigError: it cannot be read, or is something else.
-    """
-    try:
-        with file.open("rb") as stream:
-            start = stream.read(len(MAGIC))
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be read: {error.strerror}; {EXPECTED}") from error
-    if start != MAGIC:
-        raise ConfigError(f"{file}: not a flight log of ours; {EXPECTED}")
-    return read_mcap(file)
 
 
 def inertial_of(record: FlightRecord, file: Path) -> ImuSamples:
@@ -197,15 +179,6 @@ def _sightings(
         logged,
         "the log holds no frames: its sightings are used, which had gravity by the old mounting in them",
     )
-
-
-def _settings(file: Path) -> dict[str, str]:
-    """What the log was made under, as JSON by name."""
-    reader = LogReader(file)
-    for _ in reader.messages():
-        if SETTINGS_RECORD in reader.metadata:
-            break
-    return reader.metadata.get(SETTINGS_RECORD, {})
 
 
 def _calibrated(settings: dict[str, str], file: Path) -> InertialCalibration | None:

@@ -12,11 +12,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations, product
 from typing import Final
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from calibration.mount.command import FACES
 from calibration.mount.recording import ImuSamples, Indices
@@ -116,24 +116,13 @@ def faces_down(rests: Sequence[StaticInterval], body_from_sensor: FloatArray) ->
 def fitting_mountings(asked: Sequence[str], rests: Sequence[StaticInterval]) -> list[Vector3]:
     """The right-angled mountings (roll, pitch, yaw; deg) with the asked face down in every interval."""
     fitting = []
-    for matrix in _right_angled():
+    for matrix in np.rint(Rotation.create_group("O").as_matrix()) + 0.0:  # the 24 by quarter turns
         if all(face_of(rest.force, matrix) == name for name, rest in zip(asked, rests, strict=True)):
             roll, pitch, yaw = (
                 round(math.degrees(a)) + 0.0 for a in euler_from_quat(quat_from_matrix(matrix))
             )
             fitting.append((roll, pitch, yaw))
     return fitting
-
-
-def _right_angled() -> list[FloatArray]:
-    """The 24 rotations by quarter turns."""
-    found = []
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        matrix = np.zeros((3, 3))
-        matrix[range(3), order] = signs
-        if np.linalg.det(matrix) > 0.0:
-            found.append(matrix)
-    return found
 
 
 # ---------------------------------------------------------------- verdict

@@ -121,6 +121,8 @@ def print_version(asked: bool) -> None:
 VersionOption = Annotated[
     bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=print_version)
 ]
+_SERVED: Final = "Show the live picture to browsers at 127.0.0.1:PORT (0: a free one)."
+ServeOption = Annotated[int | None, typer.Option("--serve", min=0, max=65535, help=_SERVED, metavar="PORT")]
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,7 +50,7 @@ def field_here(place: Vector3) -> Vector3:
 
 
 def compare_declination(
-    told_ned_ut: Vector3, told_std_ut: float, place: Vector3, unix_s: float, time_s: float = 0.0
+    told_ned_ut: Vector3, told_std_ut: float, place: Vector3, unix_s: float
 ) -> SourceComparison:
     """The declination (deg) of a field that was told (µT, NED) against the model's.
 
@@ -63,7 +63,7 @@ def compare_declination(
     told_ut, model_ut = (math.hypot(north, east) for north, east, _ in (told_ned_ut, model_ned_ut))
     model_std_deg = math.hypot(MODEL_STD_DEG, MODEL_STD_DEG_NT * _UT_PER_NT / model_ut)
     return SourceComparison(
-        time_s,
+        0.0,
         Quantity.DECLINATION,
         f"{math.degrees(told_rad):.1f} deg",
         f"{math.degrees(model_rad):.1f} deg [{', '.join(f'{part:.1f}' for part in model_ned_ut)}] µT",

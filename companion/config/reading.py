@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -32,41 +32,25 @@ FORMER = {
 
 def near_name(model: type[BaseModel], key: Sequence[str]) -> str | None:
     """The nearest name to the last part of a key, among those that the model knows in its place."""
-    schema = _schema(model)
-    here = [schema]
-    for part in key[:-1]:
-        here = [inner for outer in here for inner in _inside(outer, part, schema)]
-    known = {name for outer in here for kind in _kinds(outer, schema) for name in kind.get("properties", ())}
+    here = [model]
+    for part in key[:-1]:  # that of an item of a list or a mapping is no field's name
+        here = [inner for kind in here for inner in _inside(kind, part)] or here
+    known = {field.alias or name for kind in here for name, field in kind.model_fields.items()}
     now = [name for name in FORMER.get(key[-1], ()) if name in known]
     return next(iter(now or get_close_matches(key[-1], sorted(known), 1, LIKENESS)), None)
 
 
-@functools.cache
-def _schema(model: type[BaseModel]) -> dict[str, Any]:
-    """The model's JSON schema; of the whole tree it takes a third of a second to make."""
-    return model.model_json_schema()
+def _inside(kind: type[BaseModel], part: str) -> list[type[BaseModel]]:
+    fields = (field for name, field in kind.model_fields.items() if part == (field.alias or name))
+    return [inner for field in fields for inner in models_in(field.annotation)]
 
 
-def _kinds(schema: dict[str, Any], root: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """All that a part of the schema may be."""
-    if "$ref" in schema:
-        yield from _kinds(root["$defs"][schema["$ref"].rsplit("/", 1)[1]], root)
-        return
-    yield schema
-    for word in ("anyOf", "oneOf", "allOf"):
-        for kind in schema.get(word, ()):
-            yield from _kinds(kind, root)
-
-
-def _inside(schema: dict[str, Any], part: str, root: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for kind in _kinds(schema, root):
-        candidates = [
-            kind.get("properties", {}).get(part),
-            kind.get("additionalProperties"),
-            kind.get("items"),
-        ]
-        candidates += kind.get("prefixItems", ())
-        yield from (inner for inner in candidates if isinstance(inner, dict))
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The models that a value of a type may hold, by itself or in a list or mapping."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from models_in(part)
 
 
 # marks the settings that an operator sets: `json_schema_extra=OPERATOR`; the others are for experts

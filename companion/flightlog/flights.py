@@ -5,9 +5,10 @@ without a network. The newest flight always stays, so no number comes twice.
 """
 
 import shutil
+import zipfile
 from collections.abc import Collection
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 from companion.flightlog.log_file import LOG_NAMES
 
@@ -49,6 +50,13 @@ def size_bytes(folder: Path) -> int:
         except FileNotFoundError:
             continue
     return total
+
+
+def pack(folder: Path, packed: Path | IO[bytes], compression: int = zipfile.ZIP_STORED) -> None:
+    """All of a flight's folder as one zip file; the log is compressed already."""
+    with zipfile.ZipFile(packed, "w", compression, compresslevel=1) as archive:
+        for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+            archive.write(path, Path(folder.resolve().name) / path.relative_to(folder))
 
 
 def make_room(root: Path, cap_bytes: int, free_bytes: int, keep: Collection[Path] = ()) -> list[Path]:

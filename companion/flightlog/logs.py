@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from companion.base.errors import ConfigError
 from companion.base.files import cannot_read, replaced
-from companion.flightlog.flights import recorded_flights
+from companion.flightlog.flights import pack, recorded_flights
 from companion.flightlog.log_file import REPAIRED_NAME, records
 from companion.flightlog.summary import summary_of
 from companion.flightlog.tables import TableFormat, convert
@@ -59,13 +59,8 @@ def export(folder: Path, output: Path | None) -> None:
     """Put a flight's folder into one zip file."""
     target = _new(output or Path(f"{folder.resolve().name}.zip"))
     try:
-        # the log is compressed already
-        with (
-            replaced(target) as part,
-            zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
-        ):
-            for path in sorted(folder.rglob("*")):
-                archive.write(path, Path(folder.resolve().name) / path.relative_to(folder))
+        with replaced(target) as part:
+            pack(folder, part, zipfile.ZIP_DEFLATED)
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written: {error.strerror}") from error
     typer.echo(f"{target}: {target.stat().st_size / MEGABYTE:.1f} MB, all of {folder}")

@@ -39,32 +39,20 @@ from companion.flightlog.log_file import (
     VERSIONS_RECORD,
 )
 from companion.flightlog.version import SettingsRecord
-
-MAVLINK2_MAGIC: Final = 0xFD
-MAVLINK1_MAGIC: Final = 0xFE
+from companion.link.codec import MARKER, frame_length
 
 
 def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
     """Cut a run of MAVLink bytes into whole packets and the unfinished rest; garbage is passed over."""
     packets: list[bytes] = []
     at = 0
-    while at < len(data):
-        if data[at] not in (MAVLINK1_MAGIC, MAVLINK2_MAGIC):
-            at += 1
-            continue
-        if at + 3 > len(data) or at + (length := _packet_length(data, at)) > len(data):
-            break
-        packets.append(data[at : at + length])
-        at += length
-    return packets, data[at:]
-
-
-def _packet_length(data: bytes, at: int) -> int:
-    """Bytes of the packet that starts at `at`, by its first three."""
-    payload = data[at + 1]
-    if data[at] == MAVLINK1_MAGIC:
-        return payload + 8
-    return payload + 12 + (13 if data[at + 2] & 1 else 0)
+    while (marker := MARKER.search(data, at)) is not None:
+        at = marker.start()
+        if at + 3 > len(data) or (end := at + frame_length(data, at)) > len(data):
+            return packets, data[at:]
+        packets.append(data[at:end])
+        at = end
+    return packets, b""
 
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.

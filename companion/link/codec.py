@@ -219,21 +219,27 @@ def frame_size(buffer: bytearray, start: int) -> int:
     if buffer[start] != V2_MARKER:
         if have < _V1_HEADER_BYTES:
             return _V1_HEADER_BYTES
-        known = buffer[start + 5] in mavlink.mavlink_map
-        return _V1_HEADER_BYTES + buffer[start + 1] + _CRC_BYTES if known else 0
+        return frame_length(buffer, start) if buffer[start + 5] in mavlink.mavlink_map else 0
     if have < _V2_HEADER_BYTES:
         return _V2_HEADER_BYTES
-    flags = buffer[start + 2]
     message_id = int.from_bytes(buffer[start + 7 : start + 10], "little")
-    if flags & ~SIGNED_FLAG or message_id not in mavlink.mavlink_map:
+    if buffer[start + 2] & ~SIGNED_FLAG or message_id not in mavlink.mavlink_map:
         return 0
-    signature = SIGNATURE_BYTES if flags & SIGNED_FLAG else 0
+    return frame_length(buffer, start)
+
+
+def frame_length(buffer: bytes | bytearray, start: int) -> int:
+    """Bytes of the frame that starts here, of whatever dialect, by its first three."""
+    if buffer[start] != V2_MARKER:
+        return _V1_HEADER_BYTES + buffer[start + 1] + _CRC_BYTES
+    signature = SIGNATURE_BYTES if buffer[start + 2] & SIGNED_FLAG else 0
     return _V2_HEADER_BYTES + buffer[start + 1] + _CRC_BYTES + signature
 
 
-def message_id_of(frame: bytearray) -> int:
-    """The message id of a whole frame."""
-    return int.from_bytes(frame[7:10], "little") if frame[0] == V2_MARKER else frame[5]
+def message_id_of(buffer: bytearray, start: int = 0) -> int:
+    """The message id of the whole frame that starts here."""
+    is_v2 = buffer[start] == V2_MARKER
+    return int.from_bytes(buffer[start + 7 : start + 10], "little") if is_v2 else buffer[start + 5]
 
 
 def header_bytes(frame: bytes | bytearray) -> int:

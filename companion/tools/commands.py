@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 
 import typer
 
+from companion.base.command_line import ServeOption
 from companion.base.errors import ConfigError
 from companion.base.files import (
     DEFAULT_SETTINGS,
@@ -73,16 +74,7 @@ def check_command(
         Path | None,
         typer.Option("--record", help="Where flights are kept; else the service's folder.", metavar="DIR"),
     ] = None,
-    serve: Annotated[
-        int | None,
-        typer.Option(
-            "--serve",
-            min=0,
-            max=65535,
-            help="With --pad: the picture with its arrows for browsers at 127.0.0.1:PORT (0: a free one).",
-            metavar="PORT",
-        ),
-    ] = None,
+    serve: ServeOption = None,  # with --pad
 ) -> None:
     must_be_readable(config)
     if json_file is not None and str(json_file) != "-":

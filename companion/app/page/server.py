@@ -7,20 +7,19 @@ them makes room for a new one.
 import asyncio
 import json
 import tempfile
-import zipfile
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from html import escape
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from companion.app.page.access import host_is_ours, own_names, same_origin, same_token
 from companion.app.page.look import Reply, Start, Text
 from companion.base.clock import Clock
-from companion.flightlog.flights import numbered_flights, size_bytes
+from companion.flightlog.flights import numbered_flights, pack, size_bytes
 
 # ---------------------------------------------------------------- what is given to keep
 # The flights' logs as zip files, and the settings to read. Whoever asks shows the token, where there is one,
@@ -62,13 +61,6 @@ def listed(root: Path | None) -> list[dict[str, Any]]:
         {"name": folder.name, "megabytes": size_bytes(folder) / MEGABYTE}
         for folder in reversed(_folders(root))
     ]
-
-
-def pack(folder: Path, packed: IO[bytes]) -> None:
-    """All of a flight's folder as `companion logs export` has it; the log is compressed already."""
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
-        for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-            archive.write(path, Path(folder.name) / path.relative_to(folder))
 
 
 def _folders(root: Path | None) -> list[Path]:

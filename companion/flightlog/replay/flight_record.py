@@ -83,7 +83,8 @@ class RecordingPlace:
 class FlightRecord:
     """A whole log.
 
-    `states` are the app's own estimates as recorded, to the bit (ours only). `cut` says where a log that
+    `settings` are what it was made under, as JSON by name, and `states` the app's own estimates as recorded,
+    to the bit (ours only). `cut` says where a log that
     ends in the middle of something does so; `notes` is what else a reader of the results should know.
     """
 
@@ -91,6 +92,7 @@ class FlightRecord:
     events: list[RecordedEvent]
     references: dict[Source, RecordedReference]
     rig: ReplaySetup | None = None
+    settings: dict[str, str] = field(default_factory=dict)
     states: list[VehicleState | PadState] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     place: RecordingPlace | None = None

@@ -108,6 +108,7 @@ class _Reading:
             events=self._events,
             references=known_references(_states_reference(self._states), _truth_reference(self._truth)),
             rig=self._rig(),
+            settings=self._reader.metadata.get(SETTINGS_RECORD, {}),
             states=self._states,
             versions=self._reader.metadata.get(VERSIONS_RECORD, {}),
             cut=f"the log is cut after {seconds:.1f} s: read up to there" if self._reader.cut else None,

@@ -16,7 +16,6 @@ from typing import Final
 from companion.base.clock import Clock, start_unix_s
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig, ConfigError, LinkConfig, SenseConfig, VehicleConfig
-from companion.link.codec import AUTOPILOT_COMPONENT, Codec
 from companion.link.session import Session
 from companion.link.signing import signing_of
 from companion.link.transport import Transport, open_transport
@@ -128,22 +127,15 @@ class LinkListener:
     transport: Transport
     clock: Clock
     works: tuple[asyncio.Task[None], ...] = ()
-    counts: Counter[int] = field(default_factory=Counter)
     samples: Counter[type] = field(default_factory=Counter)
     line: FrameCounter = field(default_factory=FrameCounter)
     problem: str | None = None
-
-    def __post_init__(self) -> None:
-        self._counter = Codec(1)  # decodes all, to count what the session passes over
 
     async def receive(self) -> None:
         while True:
             data, now_s = await self.transport.read(), self.clock.now_s()
             self.session.receive(data, now_s)
             self.line.feed(data)
-            for message in self._counter.decode(data):
-                if message.get_srcComponent() == AUTOPILOT_COMPONENT:
-                    self.counts[message.get_msgId()] += 1
             self.samples.update(type(sample) for sample in self.session.take_samples())
 
     async def tick(self) -> None:
@@ -171,7 +163,7 @@ class LinkListener:
         names = () if kind is None else parameter_names(kind, output)
         asked = [self.session.read_parameter(name) for name in names]
         await asyncio.sleep(SETTLING_S)
-        before, sampled = self.counts.copy(), self.samples.copy()
+        before, sampled = self.line.messages.copy(), self.samples.copy()
         began_s = self.clock.now_s()
         await asyncio.sleep(LOOK_S)
         elapsed_s = self.clock.now_s() - began_s
@@ -180,7 +172,9 @@ class LinkListener:
             refused=self.session.counters.refused,
             line=self.line,
             clock_settled=self.session.timesync.settled,
-            rates_hz={number: (count - before[number]) / elapsed_s for number, count in self.counts.items()},
+            rates_hz={
+                number: (count - before[number]) / elapsed_s for number, count in self.line.messages.items()
+            },
             samples_hz={
                 kind: (self.samples[kind] - sampled[kind]) / elapsed_s
                 for kind in (ImuSample, MagSample, GpsFix, RangeSample)

@@ -7,6 +7,7 @@ that another one follows it.
 """
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
@@ -15,21 +16,27 @@ from companion.base.autopilots import PROFILES, version_text
 from companion.base.geometry import euler_from_quat
 from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig
-from companion.link.codec import CURRENT_MODE, MARKER, mavlink
-from companion.link.signing import SIGNATURE_BYTES, SIGNED_FLAG, V2_MARKER
+from companion.link.codec import (
+    AUTOPILOT_COMPONENT,
+    CURRENT_MODE,
+    MARKER,
+    frame_length,
+    mavlink,
+    message_id_of,
+)
+from companion.link.signing import V2_MARKER
 from companion.link.streams import pose_rates_hz, telemetry_rates_hz
 from companion.plan.mission.readiness import offboard_words
 from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.parameters import ParameterReadings
 
-V2_OVERHEAD, V1_OVERHEAD = 12, 8  # header and checksum
-
 
 class FrameCounter:
-    """Counts frames, gaps in their senders' sequences, and bytes of no frame."""
+    """Counts frames, the autopilot's by their messages' ids, gaps in the sequences, and bytes of no frame."""
 
     def __init__(self) -> None:
         self.frames = self.lost = self.stray_bytes = 0
+        self.messages: Counter[int] = Counter()
         self._buffer = bytearray()
         self._sequences: dict[tuple[int, int], int] = {}
 
@@ -40,10 +47,7 @@ class FrameCounter:
         while (marker := MARKER.search(buffer, start)) is not None:
             self.stray_bytes += marker.start() - start
             start = marker.start()
-            if len(buffer) - start < V2_OVERHEAD:
-                break
-            size = _size(buffer, start)
-            if len(buffer) - start <= size:
+            if len(buffer) - start < 3 or len(buffer) - start <= (size := frame_length(buffer, start)):
                 break
             if MARKER.match(buffer, start + size) is None:
                 self.stray_bytes += 1
@@ -59,19 +63,13 @@ class FrameCounter:
     def _count(self, buffer: bytearray, start: int) -> None:
         at = start + (4 if buffer[start] == V2_MARKER else 2)
         sequence, source = buffer[at], (buffer[at + 1], buffer[at + 2])
+        if source[1] == AUTOPILOT_COMPONENT:
+            self.messages[message_id_of(buffer, start)] += 1
         last = self._sequences.get(source)
         self._sequences[source] = sequence
         self.frames += 1
         if last is not None:
             self.lost += (sequence - last - 1) % 256
-
-
-def _size(buffer: bytearray, start: int) -> int:
-    """Of the frame that would begin here."""
-    if buffer[start] != V2_MARKER:
-        return V1_OVERHEAD + buffer[start + 1]
-    signature = SIGNATURE_BYTES if buffer[start + 2] & SIGNED_FLAG else 0
-    return V2_OVERHEAD + buffer[start + 1] + signature
 
 
 # ---------------------------------------------------------------- what was heard

@@ -127,7 +127,7 @@ def test_faces_are_calibrated_live_against_the_simulated_chip(tmp_path: Path) ->
     output = tmp_path / "inertial.yaml"
     kept = tmp_path / "kept"
     rested = run_in_virtual_time(faces_from(CompanionConfig(), kept, held.boards, virtual=True))
-    calibrate_accelerometer(rested.unasked(), output, force=False)
+    calibrate_accelerometer(replace(rested, asked=(), answers=()), output, force=False)
     found = load_model(InertialCalibration, output)
     assert held.vehicle is not None
     truth = held.vehicle.simulation.sensor_truth.boards
@@ -186,7 +186,7 @@ def test_an_autopilot_s_rests_are_not_the_chip_s(tmp_path: Path, capsys: pytest.
     ("words", "line"),
     [
         (("camera", "absent"), "cannot be read"),
-        (("camera", "README.md"), "not a flight log of ours"),
+        (("camera", "README.md"), "no recording of flights"),
         (("accelerometer", "README.md"), "expected a table"),
         (("accelerometer", "absent.csv"), "cannot be read"),
         (("accelerometer", "absent.csv", "--gyro-unit", "rpm"), "--gyro-unit rpm: expected rad/s or deg/s"),
