@@ -4,8 +4,8 @@ Both sides of the link use it: the app and the bundled simulator. pymavlink is u
 here once: `mavlink`, and `Message` for what it makes. Frames and units are MAVLink's: local
 NED in m, angles in rad, quaternions (w, x, y, z), latitude and longitude in 1e-7 deg.
 
-Framing is our own and pymavlink decodes whole frames only: its parser drops everything a false start byte
-claims, where this one goes back to the next byte, so that garbage never costs a good message.
+Framing is our own: pymavlink's parser drops everything a false start byte claims, where this one goes back to
+the next byte, so that garbage never costs a good message.
 """
 
 import functools
