@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from companion.base.units import without_unit
-from companion.config.reading import OPERATOR
+from companion.config.reading import OPERATOR, descriptions
 
 BOUND_SIGNS: Final = {"ge": "≥ {:g}", "gt": "> {:g}", "le": "≤ {:g}", "lt": "< {:g}"}
 
@@ -40,6 +40,7 @@ def settings_of(
 
     `defaults` is the instance, if any, that the model around it puts there by default.
     """
+    told = descriptions(model)
     for name, field in model.model_fields.items():
         key = f"{prefix}{field.alias or name}"
         inner = inner_model(field.annotation)
@@ -48,7 +49,7 @@ def settings_of(
             yield from settings_of(inner, f"{key}.", default)
         elif not (field.discriminator is not None or (name == "kind" and field.is_required())):
             default_text = _default(field) if defaults is None else _value(getattr(defaults, name))
-            meaning = field.description or ""
+            meaning = told.get(name, field.description or "")
             operator = field.json_schema_extra == OPERATOR
             yield Setting(key, _unit(name), default_text, _bounds(field), meaning, operator)
 

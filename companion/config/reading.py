@@ -69,6 +69,13 @@ _EXPECTED = {
 }
 
 
+def _describe(schema: dict[str, Any], model: type[BaseModel]) -> None:
+    """Put the descriptions into a model's JSON schema."""
+    properties = schema.get("properties", {})
+    for name, text in descriptions(model).items():
+        properties[model.model_fields[name].alias or name]["description"] = text
+
+
 class StrictModel(BaseModel):
     """Base of all settings: unknown keys are refused, values cannot change after loading.
 
@@ -76,13 +83,22 @@ class StrictModel(BaseModel):
     """
 
     # a validator is built when it is first used, and a part's own never: a quarter of a start's imports
-    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_describe
+    )
 
-    @classmethod
-    def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Take the descriptions; pydantic's own way, tokenizing each class, takes ten times as long."""
-        for name, text in _field_docstrings(cls.__module__).get(cls.__name__, {}).items():
-            cls.model_fields[name].description = text
+
+def descriptions(model: type[BaseModel]) -> dict[str, str]:
+    """What the fields mean, by name.
+
+    The source is read when somebody asks for it, which no flight does. pydantic's own way, tokenizing each
+    class where it is made, takes ten times as long.
+    """
+    told: dict[str, str] = {}
+    for kind in reversed(model.__mro__):
+        if issubclass(kind, StrictModel):
+            told |= _field_docstrings(kind.__module__).get(kind.__name__, {})
+    return told
 
 
 @functools.cache

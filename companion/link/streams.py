@@ -4,6 +4,7 @@ An autopilot that restarts forgets the rates, and another program on the link ma
 EXTENDED_SYS_STATE to 1 Hz), so what counts is what arrives. Pure.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -73,12 +74,14 @@ class TelemetryRates:
     def __init__(self, rates_hz: dict[int, float] | None = None) -> None:
         rates = TELEMETRY_RATES_HZ if rates_hz is None else rates_hz
         self._streams = {message_id: _Stream(rate_hz) for message_id, rate_hz in rates.items()}
+        self._due_s = -math.inf  # when the next window ends
 
     def want(self, rates_hz: dict[int, float]) -> None:
         """Ask for these as well; what is wanted already stays as it is."""
         for message_id, rate_hz in rates_hz.items():
             if message_id not in self._streams:
                 self._streams[message_id] = _Stream(rate_hz)
+                self._due_s = -math.inf
 
     def heard(self, message_id: int) -> None:
         stream = self._streams.get(message_id)
@@ -91,6 +94,8 @@ class TelemetryRates:
         A rate that is never honoured (a slow serial line) is asked for less and less often.
         """
         asked: list[tuple[int, float]] = []
+        if now_s < self._due_s:
+            return asked
         for message_id, stream in self._streams.items():
             if stream.window_s > 0.0 and now_s - stream.since_s < stream.window_s:
                 continue
@@ -101,9 +106,13 @@ class TelemetryRates:
                 asked.append((message_id, stream.rate_hz))
                 stream.window_s = min(max(2.0 * stream.window_s, _WINDOW_S), _LONGEST_WINDOW_S)
             stream.since_s, stream.count = now_s, 0
+        self._due_s = min(
+            (stream.since_s + stream.window_s for stream in self._streams.values()), default=math.inf
+        )
         return asked
 
     def forget(self) -> None:
         """The autopilot was lost: ask for everything at once when it is back."""
         for stream in self._streams.values():
             stream.window_s, stream.count = 0.0, 0
+        self._due_s = -math.inf

@@ -273,7 +273,7 @@ class BootClock:
         passed_s = None if last is None else unwrapped_s - last[0]
         if passed_s is not None and -RESTART_S < passed_s <= 0.0:
             return None
-        time_s = self.time_s(stamp_s, now_s)
+        time_s = self._time_s(unwrapped_s, now_s)
         if time_s is None:
             return None
         if last is None or passed_s is None or passed_s <= 0.0:
@@ -285,11 +285,13 @@ class BootClock:
 
     def time_s(self, stamp_s: float, now_s: float) -> float | None:
         """Our time of a stamp (s since boot) received now; None: unknown clock, or impossible."""
+        return self._time_s(self._unwrapped_s(stamp_s, now_s), now_s)
+
+    def _time_s(self, unwrapped_s: float, now_s: float) -> float | None:
         line = self._timesync.line
         if line is None or not self._timesync.settled:
             self._line = None
             return None
-        unwrapped_s = self._unwrapped_s(stamp_s, now_s)
         if not -FUTURE_S <= now_s - line.to_ours(unwrapped_s) <= OLDEST_S:
             return None
         return min(self._followed(line, unwrapped_s) - self.late_s, now_s)

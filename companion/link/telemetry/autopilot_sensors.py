@@ -85,13 +85,14 @@ def imu_sample(message: Message, time_s: float, interval_s: float | None = None)
 
 def mag_sample(message: Message, time_s: float) -> MagSample | None:
     """Magnetometer of HIGHRES_IMU (if its bits are set), RAW_IMU or SCALED_IMU, measured at time_s."""
+    highres = message.get_msgId() == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
+    if highres and message.fields_updated & _FIELD_BITS != _FIELD_BITS:
+        return None
     field = (float(message.xmag), float(message.ymag), float(message.zmag))
     if not _is_the_first(message) or not _finite(field):
         return None
     largest, unit_ut = max(map(abs, field)), _MILLIGAUSS_UT
-    if message.get_msgId() == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU:
-        if message.fields_updated & _FIELD_BITS != _FIELD_BITS:
-            return None
+    if highres:
         unit_ut = _GAUSS_UT if largest < _STRONGEST_GAUSS else _MICROGAUSS_UT
     elif largest >= _SATURATED:
         return None
