@@ -322,11 +322,11 @@ class CameraModel:
         ], -pz
 
     def _node_map(self, surface: _Surface) -> FloatArray:
-        """Texture coordinates (rows, columns, 2) of the mesh's nodes, each row at its own time."""
+        """Texture coordinates (2, rows, columns) of the mesh's nodes, each row at its own time."""
         rows = (self._pose_weights @ surface.texel_from_ray.reshape(-1, 9)).reshape(-1, 3, 3)
-        u, v, w = (rows @ self._rays_by_row).swapaxes(0, 1)
-        scale = 1.0 / np.maximum(w, HORIZON)
-        return np.stack((u * scale, v * scale), axis=-1)
+        places = (rows @ self._rays_by_row).swapaxes(0, 1)
+        nodes: FloatArray = np.multiply(places[:2], 1.0 / np.maximum(places[2], HORIZON), order="C")
+        return nodes
 
     def _set_exposure(self, exposure_s: float) -> None:
         """And with it how much each of a frame's poses counts for the mesh's rows: (rows, instants)."""
@@ -342,12 +342,12 @@ class CameraModel:
     def _draw(self, image: GreyImage, surface: _Surface, nodes: FloatArray, part: Part | None) -> None:
         """Sample one surface into the image, or into a part of it given in cells of the mesh."""
         tile = surface.level.image
-        top, bottom, left, right = part or (0, nodes.shape[0] - 2, 0, nodes.shape[1] - 2)
-        mesh = nodes[top : bottom + 2, left : right + 2]
+        top, bottom, left, right = part or (0, nodes.shape[1] - 2, 0, nodes.shape[2] - 2)
+        mesh = nodes[:, top : bottom + 2, left : right + 2]
         if part is None:  # the ground: start in the first copy of the tile
             period = tile.shape[0] // 2
-            mesh = mesh - np.floor((mesh[..., 0].min() / period, mesh[..., 1].min() / period)) * period
-        mesh = mesh.astype(np.float32)
+            mesh = mesh - np.floor(mesh.min(axis=(1, 2), keepdims=True) / period) * period
+        mesh = mesh.transpose(1, 2, 0).astype(np.float32, order="C")
         np.clip(mesh, -FARTHEST_TEXEL, FARTHEST_TEXEL, out=mesh)
         cell = NODE_PX * self._finer
         size = (mesh.shape[1] * cell, mesh.shape[0] * cell)
