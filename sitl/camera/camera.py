@@ -167,7 +167,7 @@ class CameraModel:
         self.position_body_m = vehicle.camera_position_body_m
         self.body_from_camera = mounted_camera(vehicle, mount_error_deg)
         self._camera_attitude = quat_from_matrix(self.body_from_camera)
-        self._exposure_s = camera.exposure_s if settings.exposure_s is None else settings.exposure_s
+        exposure_s = camera.exposure_s if settings.exposure_s is None else settings.exposure_s
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
         self._printed = pad_texture(pad) if board is None else board
         self._pad = pad
@@ -176,7 +176,7 @@ class CameraModel:
         self.twin_ned_m: Callable[[Vector3], Vector3] | None = None
         self._ground_texture = ground_texture(GROUND_SEED)
         self._node_rays = node_rays(camera)
-        self._ray_x, self._ray_y = (np.ascontiguousarray(self._node_rays[..., k]) for k in (0, 1))
+        self._rays_by_row = np.ascontiguousarray(self._node_rays.swapaxes(1, 2))
         row_px = NODE_PX * (np.arange(self._node_rays.shape[0]) - 1.0) + 0.5 * (NODE_PX - 1)
         self._row_time = (row_px + 0.5) / camera.height_px - 0.5  # of the readout, from its middle
         # generators of their own: light and dirt change no noise
@@ -184,8 +184,9 @@ class CameraModel:
         self._metering: AutoExposure | None = None
         if settings.light is not None:
             self._light = LightInView(settings.light, light_rng, self._node_rays)
-            self._metering = AutoExposure(settings.exposure, self._exposure_s, settings.light.illuminance_lux)
-            self._exposure_s = self._metering.now.exposure_s
+            self._metering = AutoExposure(settings.exposure, exposure_s, settings.light.illuminance_lux)
+            exposure_s = self._metering.now.exposure_s
+        self._set_exposure(exposure_s)
         self._encoded = encoding_table(camera.encoding)
         self._vignette = vignette(camera, settings, dirt_rng)
         self._noise = noise_bank(camera, settings.noise_grey, rng)
@@ -321,34 +322,32 @@ class CameraModel:
         ], -pz
 
     def _node_map(self, surface: _Surface) -> FloatArray:
-        """Texture coordinates (rows, columns, 2) of the mesh's nodes, each row at its own time."""
-        # each a column of one number a row
-        h = (self._pose_weights() @ surface.texel_from_ray.reshape(-1, 9)).T[:, :, None]
-        x, y = self._ray_x, self._ray_y
-        texels = np.empty((*x.shape, 2))
-        scale = 1.0 / np.maximum(h[6] * x + h[7] * y + h[8], HORIZON)
-        np.multiply(h[0] * x + h[1] * y + h[2], scale, out=texels[..., 0])
-        np.multiply(h[3] * x + h[4] * y + h[5], scale, out=texels[..., 1])
-        return texels
+        """Texture coordinates (2, rows, columns) of the mesh's nodes, each row at its own time."""
+        rows = (self._pose_weights @ surface.texel_from_ray.reshape(-1, 9)).reshape(-1, 3, 3)
+        places = (rows @ self._rays_by_row).swapaxes(0, 1)
+        nodes: FloatArray = np.multiply(places[:2], 1.0 / np.maximum(places[2], HORIZON), order="C")
+        return nodes
 
-    def _pose_weights(self) -> FloatArray:
-        """How much each of a frame's poses counts for the mesh's rows: (rows, instants)."""
+    def _set_exposure(self, exposure_s: float) -> None:
+        """And with it how much each of a frame's poses counts for the mesh's rows: (rows, instants)."""
+        self._exposure_s = exposure_s
         # -1 first pose, +1 last pose
         s = self._row_time * (2.0 * self._readout_s / max(self.span_s, 1e-6))
         if self._instants > 3:
             nodes = np.linspace(-1.0, 1.0, self._instants)
-            return np.asarray(np.maximum(0.0, 1.0 - np.abs(s[:, None] - nodes) / (nodes[1] - nodes[0])))
-        return np.stack((0.5 * s * (s - 1.0), 1.0 - s * s, 0.5 * s * (s + 1.0)), axis=1)
+            self._pose_weights = np.maximum(0.0, 1.0 - np.abs(s[:, None] - nodes) / (nodes[1] - nodes[0]))
+        else:
+            self._pose_weights = np.stack((0.5 * s * (s - 1.0), 1.0 - s * s, 0.5 * s * (s + 1.0)), axis=1)
 
     def _draw(self, image: GreyImage, surface: _Surface, nodes: FloatArray, part: Part | None) -> None:
         """Sample one surface into the image, or into a part of it given in cells of the mesh."""
         tile = surface.level.image
-        top, bottom, left, right = part or (0, nodes.shape[0] - 2, 0, nodes.shape[1] - 2)
-        mesh = nodes[top : bottom + 2, left : right + 2]
+        top, bottom, left, right = part or (0, nodes.shape[1] - 2, 0, nodes.shape[2] - 2)
+        mesh = nodes[:, top : bottom + 2, left : right + 2]
         if part is None:  # the ground: start in the first copy of the tile
             period = tile.shape[0] // 2
-            mesh = mesh - np.floor((mesh[..., 0].min() / period, mesh[..., 1].min() / period)) * period
-        mesh = mesh.astype(np.float32)
+            mesh = mesh - np.floor(mesh.min(axis=(1, 2), keepdims=True) / period) * period
+        mesh = mesh.transpose(1, 2, 0).astype(np.float32, order="C")
         np.clip(mesh, -FARTHEST_TEXEL, FARTHEST_TEXEL, out=mesh)
         cell = NODE_PX * self._finer
         size = (mesh.shape[1] * cell, mesh.shape[0] * cell)
@@ -382,7 +381,7 @@ class CameraModel:
         # it is light that is metered
         gain = metering.now.gain
         metering.look(image)
-        self._exposure_s = metering.now.exposure_s
+        self._set_exposure(metering.now.exposure_s)
         white_std_grey = self._settings.noise_grey
         if white_std_grey == 0.0:
             return through(self._encoded, image)

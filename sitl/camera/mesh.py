@@ -61,8 +61,11 @@ def pixels_of(nodes: FloatArray) -> NDArray[np.float32]:
 
 
 def within_board(nodes: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """How many texels each node (rows, columns) is within the edge of a board's texture; negative outside."""
-    u, v = nodes[..., 0], nodes[..., 1]
+    """How many texels (rows, columns) each of the nodes (2, rows, columns) is within a board's edge.
+
+    Negative outside it; `shape` is the texture's.
+    """
+    u, v = nodes
     across = np.minimum(u + 0.5, shape[1] - 0.5 - u)
     return np.asarray(np.minimum(across, np.minimum(v + 0.5, shape[0] - 0.5 - v)))
 
@@ -70,14 +73,14 @@ def within_board(nodes: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 def visible_part(nodes: FloatArray, shape: tuple[int, ...]) -> Part | None:
     """The rectangle of mesh cells (top, bottom, left, right; end exclusive) that may show the board.
 
-    Cell k lies about node k + 1. None: the board is out of view.
+    Cell k lies about node k + 1; `nodes` (2, rows, columns) are in texels. None: the board is out of view.
     """
-    u, v = nodes[..., 0], nodes[..., 1]
+    u, v = nodes
     inside = (u > -1.0) & (u < shape[1]) & (v > -1.0) & (v < shape[0])
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if rows.size == 0:
         return None
-    last_row, last_column = nodes.shape[0] - 2, nodes.shape[1] - 2
+    last_row, last_column = nodes.shape[1] - 2, nodes.shape[2] - 2
     return (
         max(0, int(rows[0]) - 2),
         min(last_row, int(rows[-1]) + 1),
@@ -90,5 +93,5 @@ def covers(nodes: FloatArray | None, shape: tuple[int, ...]) -> bool:
     """True when the board fills the image (a convex board holds all nodes when it holds the corners)."""
     if nodes is None:
         return False
-    corners = nodes[[0, 0, -1, -1], [0, -1, 0, -1]]
-    return bool((corners >= 1.0).all() and (corners <= (shape[1] - 2, shape[0] - 2)).all())
+    u, v = corners = nodes[:, [0, 0, -1, -1], [0, -1, 0, -1]]
+    return bool((corners >= 1.0).all() and (u <= shape[1] - 2).all() and (v <= shape[0] - 2).all())

@@ -313,7 +313,7 @@ class Simulation:
             self._step_physics()
         now_s = self.world.time_s
         self._expose(now_s)
-        pad = self.world.pad_motion.at(now_s)
+        pad = self.world.pad_state
         self.line.network.transmit(now_s, pad.position_ned_m, pad.velocity_ned_m_s)
         if self._timer.count % TRUTH_EVERY_TICKS == 0:
             self.world.attitude_setpoint = self._flight_controller.attitude_setpoint

@@ -61,23 +61,13 @@ class RotorLayout:
         """What a unit of command along `right` makes of roll, in motors at one arm; of pitch alike."""
         return sum(right * right for right in self.right)
 
-    def torques(self, thrusts: RotorValues) -> tuple[float, float]:
-        """Roll and pitch torque over the arm's length."""
-        roll = pitch = 0.0
-        for thrust, forward, right in zip(thrusts, self.forward, self.right, strict=True):
-            roll -= right * thrust
-            pitch += forward * thrust
-        return roll, pitch
-
     def momentum(self, speeds: RotorValues) -> float:
         """Sum of the speeds about the down axis: those that turn clockwise less the others."""
         total = 0.0
-        for speed, turn in zip(speeds, self.turns, strict=True):
-            if turn < 0.0:
-                total += speed
-        for speed, turn in zip(speeds, self.turns, strict=True):
-            if turn > 0.0:
-                total -= speed
+        for speed in speeds[1::2]:
+            total += speed
+        for speed in speeds[::2]:
+            total -= speed
         return total
 
 
@@ -259,34 +249,37 @@ class Quadrotor:
             self._lag_dt_s = dt_s
             self._rise = _lag(self.parameters.motor_rise_s, dt_s)
             self._fall = _lag(self.parameters.motor_fall_s, dt_s)
-        spun = [self._spin_one(old, command) for old, command in zip(share, commands, strict=True)]
-        return tuple(end for end, _ in spun), tuple(mean for _, mean in spun)
-
-    def _spin_one(self, share: float, command: float) -> tuple[float, float]:
-        target = 0.0 if command < 0.0 else 1.0 if command > 1.0 else command
-        end, mean = self._rise if target > share else self._fall
-        gap = share - target
-        return target + gap * end, target + gap * mean
+        rise, fall = self._rise, self._fall
+        spun, means = [], []
+        for old, command in zip(share, commands, strict=True):
+            target = 0.0 if command < 0.0 else 1.0 if command > 1.0 else command
+            end, mean = rise if target > old else fall
+            gap = old - target
+            spun.append(target + gap * end)
+            means.append(target + gap * mean)
+        return tuple(spun), tuple(means)
 
     def _rotors(
         self, old: RotorValues, new: RotorValues, mean: RotorValues, ratio: RotorValues, dt_s: float
     ) -> tuple[float, float, float, Vector3]:
         """Eq. (5) in FRD over a step: sum of speeds over the full one, thrust (N), rotor momentum, torque."""
-        p = self.parameters
-        thrusts = tuple(share * more * p.max_thrust_n for share, more in zip(mean, ratio, strict=True))
-        # speed is proportional to the root of thrust; the ground changes a rotor's thrust, not its reaction
-        # torque
-        layout, speeds = self._layout, tuple(map(sqrt, new))
+        p, layout = self.parameters, self._layout
+        full, arm = p.max_thrust_n, p.arm_length_m
+        # speed is proportional to the root of thrust
+        speeds = tuple(map(sqrt, new))
         spin = self._momentum * layout.momentum(speeds)
         before = layout.momentum(tuple(map(sqrt, old)))
         spinning_up = (spin - self._momentum * before) / dt_s
-        turned = speed = thrust = 0.0
-        for share, turn, one, own in zip(mean, layout.turns, speeds, thrusts, strict=True):
+        turned = speed = thrust = roll = pitch = 0.0
+        # the ground changes a rotor's thrust, not its reaction torque
+        for share, more, one, turn, forward, right in zip(
+            mean, ratio, speeds, layout.turns, layout.forward, layout.right, strict=True
+        ):
+            own = share * more * full
             turned, speed, thrust = turned + turn * share, speed + one, thrust + own
-        reaction = p.torque_to_thrust_m * p.max_thrust_n * turned
-        roll, pitch = layout.torques(thrusts)
-        torque = (p.arm_length_m * roll, p.arm_length_m * pitch, reaction - spinning_up)
-        return speed, thrust, spin, torque
+            roll, pitch = roll - right * own, pitch + forward * own
+        reaction = p.torque_to_thrust_m * full * turned
+        return speed, thrust, spin, (arm * roll, arm * pitch, reaction - spinning_up)
 
 
 def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 from companion.base.geometry import Quaternion, Vector3, add, dot, quat_rotate, subtract, tilt_from_quat
@@ -25,14 +26,14 @@ LOWEST_HEIGHT_IN_RADII: Final = 0.5
 NEGLIGIBLE_HEIGHT_IN_RADII: Final = 10.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PadBoard:
     """The pad's rectangle: half its length along the heading, half its width across."""
 
     half_length_m: float
     half_width_m: float
 
-    @property
+    @cached_property
     def half_diagonal_m(self) -> float:
         """From the centre to a corner."""
         return math.hypot(self.half_length_m, self.half_width_m)

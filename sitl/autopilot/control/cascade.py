@@ -33,7 +33,7 @@ from sitl.autopilot.control.attitude_control import (
 from sitl.autopilot.control.estimator import SimulatedEstimator
 from sitl.autopilot.control.position_control import tilt_cosine
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
-from sitl.autopilot.control.shaping import low_pass
+from sitl.autopilot.control.shaping import clamp, low_pass
 from sitl.autopilot.flight.profile import AutopilotProfile
 from sitl.vehicle.quadrotor import QuadrotorParameters, RotorValues
 
@@ -67,13 +67,13 @@ class MotorMixer:
         centre = min(max(thrust, low + reach), high - reach)
         # yaw lifts every other motor and lowers the rest: what all still have room for
         beyond = high + YAW_MARGIN * (high - low)
-        limit = max(0.0, min(min(centre - abs(tilt) - low, beyond - centre - abs(tilt)) for tilt in tilts))
-        yaw = min(max(yaw, -limit), limit)
+        yaw = clamp(yaw, max(0.0, min(centre - reach - low, beyond - centre - reach)))
         turned = list(zip(tilts, layout.turns, strict=True))
-        over = max(centre + abs(tilt) + turn * yaw for tilt, turn in turned) - high
-        if over > _ROUNDING:
-            return tuple(max(low, centre - over + tilt + turn * yaw) for tilt, turn in turned)
-        return tuple(centre + tilt + turn * yaw for tilt, turn in turned)
+        if centre + reach + abs(yaw) - high > _ROUNDING:
+            over = max(centre + abs(tilt) + turn * yaw for tilt, turn in turned) - high
+            if over > _ROUNDING:
+                return tuple([max(low, centre - over + tilt + turn * yaw) for tilt, turn in turned])
+        return tuple([centre + tilt + turn * yaw for tilt, turn in turned])
 
 
 _CONTACT_AFTER_S = 0.35
