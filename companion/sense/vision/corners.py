@@ -32,6 +32,7 @@ from companion.sense.vision.edges import (
     decoded,
     mean_side,
     median,
+    outwards,
     pixels_from_complex,
     places_along,
 )
@@ -179,7 +180,7 @@ def refine_quads(
     blur = places.blur_px
     crowded = CROWDED_SHARE * np.maximum(blur - CROWDED_CELL * (mean_side(corners) / cells)[:, None], 0.0)
     eaten = np.where(places.full[:, None], blur, 0.0)
-    corners[~lost] += _outwards(sides.normal, EATEN_MEAN * eaten)[~lost]
+    corners[~lost] += outwards(sides.normal, EATEN_MEAN * eaten)[~lost]
     shrunk = np.sqrt((EATEN_STD * eaten) ** 2 + crowded**2 + (ENCODED * encoding_error * blur) ** 2)
     return Refined(corners, offset_std, turn_std, shrunk, crowded.mean(axis=1))
 
@@ -188,12 +189,6 @@ def _room(corners: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """How far (m,) px the corner that is nearest to the picture's edge is from it."""
     far = np.array(shape[::-1]) - 1.0 - corners
     return np.asarray(np.minimum(corners, far).min(axis=(1, 2)))
-
-
-def _outwards(normal: ComplexArray, by: FloatArray) -> FloatArray:
-    """How corners (m, 4, 2) move when sides with these normals (m, 4) move outwards by so many (m, 4)."""
-    moved = by * normal
-    return pixels_from_complex(moved + moved[:, BEFORE])
 
 
 def _sides(corners: ComplexArray, image_width_px: int, bow_px: FloatArray | None) -> Sides:

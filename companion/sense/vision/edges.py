@@ -181,6 +181,19 @@ def mean_side(quads: FloatArray) -> FloatArray:
     return np.asarray(0.25 * np.abs(corners[:, NEXT] - corners).sum(axis=1))
 
 
+def normals(quads: FloatArray) -> ComplexArray:
+    """Outward unit normals u + iv (m, 4) of the sides of quads (m, 4, 2)."""
+    corners = complex_from_pixels(quads)
+    along = corners[:, NEXT] - corners
+    return -1j * (along / np.abs(along))
+
+
+def outwards(normal: ComplexArray, by: FloatArray | float) -> FloatArray:
+    """How corners (m, 4, 2) move when sides with these normals (m, 4) move outwards by so many (m, 4)."""
+    moved = by * normal
+    return pixels_from_complex(moved + moved[:, BEFORE])
+
+
 def complex_from_pixels(pixels: FloatArray) -> ComplexArray:
     """Places u + iv (m, 4) of pixels (m, 4, 2)."""
     return pixels.view(np.complex128)[..., 0]
