@@ -242,9 +242,10 @@ def _bow_std(sides: Sides) -> FloatArray:
 
 def _meeting(sides: Sides, curves: _Curves) -> ComplexArray:
     """How far (m, 4) px the corners are from where each side's curve meets that of the side before."""
-    middle, tilt, bent = (_POLYNOMIALS @ curves.coefficients).swapaxes(0, 1)  # of u^0, u^1, u^2
     u = 1.0 / sides.span
-    middle, tilt, bent = middle + u**2 * bent, u * tilt, u**2 * bent
+    plain = _POLYNOMIALS @ curves.coefficients  # of u^0, u^1, u^2
+    tilt, bent = u * plain[:, 1], u * u * plain[:, 2]
+    middle = plain[:, 0] + bent
     # the lens's bow belongs to the curve, and vanishes at the corners
     bent = 2.0 * (bent - sides.bow)
     # tangents at a side's start and, of the side before, at its end: lines a . x = offset
