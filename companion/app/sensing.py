@@ -64,7 +64,9 @@ from companion.sense.vision.pipeline import VisionResult
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
 FAULT_PERIOD_S: Final = 2.0
 WATCH_PERIOD_S: Final = 1.0
-GROUND_LOOK_S: Final = 0.2  # while nothing is flown one frame in so long is searched for the pad
+# one frame in so long is searched for the pad: while nothing is flown, or it is neither seen nor expected
+GROUND_LOOK_S: Final = 0.2
+SEARCH_LOOK_S: Final = 0.06
 BEACON_APART_S: Final = 0.9  # a second, less the link's jitter
 GONE_S: Final = 2.0  # a port that is gone is tried once a second
 
@@ -363,10 +365,13 @@ class Sensing:
                 self._notify_fault(f"frame {frame.sequence} not used: {fault.text}")
                 continue
             self.frame_count += 1
-            if self.on_ground() and 0.0 <= frame.time_s - looked_s < GROUND_LOOK_S:
+            prior = self._estimator.pad_prior(frame.time_s)
+            expected = prior is not None and prior.pad_position_body_m is not None
+            known = expected or (self.last_frame is not None and self.last_frame.seen)
+            rest_s = GROUND_LOOK_S if self.on_ground() else 0.0 if known else SEARCH_LOOK_S
+            if 0.0 <= frame.time_s - looked_s < rest_s:
                 continue
             looked_s = frame.time_s
-            prior = self._estimator.pad_prior(frame.time_s)
             try:
                 seen = await self._clock.run(
                     self._vision.step, frame, prior, modelled_s=self._config.compute.vision_s

@@ -25,6 +25,7 @@ from companion.base.messages import MarkerGroup
 from companion.config import VisionConfig
 from companion.pad import ERROR_CORRECTION_RATE, Marker, Pad, dictionary_named
 from companion.sense.vision.corners import ENCODED, refine_quads
+from companion.sense.vision.edges import normals, outwards
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.print_fit import fit_prints
 
@@ -308,23 +309,13 @@ def _outlined(quads: FloatArray) -> FloatArray:
     """Corners (n, 4, 2) of squares by their outlines', which run through the middles of their outermost
     pixels.
     """
-    moved = 0.5 * OUTLINE_PX * _normals(quads)
-    return np.asarray(quads + moved + moved[:, (3, 0, 1, 2)])
+    return quads + outwards(normals(quads), 0.5 * OUTLINE_PX)
 
 
 def sides_to_corners(corners: FloatArray) -> FloatArray:
     """How corners (4, 2) move, u and v of each in turn, when each side moves outwards by one: (8, 4)."""
-    moves = np.zeros((4, 2, 4))
-    for side, normal in enumerate(_normals(corners[None])[0]):
-        moves[side, :, side] = moves[(side + 1) % 4, :, side] = normal
-    return moves.reshape(8, 4)
-
-
-def _normals(quads: FloatArray) -> FloatArray:
-    """Outward unit normals (n, 4, 2) of the sides."""
-    along = quads[:, (1, 2, 3, 0)] - quads
-    along /= np.hypot(along[..., 0], along[..., 1])[..., None]
-    return np.asarray(along[..., ::-1] * (1.0, -1.0))
+    moves = outwards(np.repeat(normals(corners[None]), 4, axis=0), np.eye(4))
+    return moves.reshape(4, 8).T
 
 
 def _flat(values: Any) -> list[int]:

@@ -20,14 +20,20 @@ from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
 from companion.sense.vision.edges import (
+    BEFORE,
+    NEXT,
     NORMALS,
     PLACES,
     PROPORTIONAL,
+    ComplexArray,
     Places,
     Sides,
+    complex_from_pixels,
     decoded,
     mean_side,
     median,
+    outwards,
+    pixels_from_complex,
     places_along,
 )
 
@@ -85,7 +91,7 @@ _POLYNOMIALS: Final = np.linalg.inv(_TRIANGLE)
 
 
 class _Curves(NamedTuple):
-    """Curves through places: coefficients (m, 4, 3), where places (m, 4, NORMALS) lie, and which count."""
+    """Curves through places: coefficients (m, 3, 4), where places (m, NORMALS, 4) lie, and which count."""
 
     coefficients: FloatArray
     offset: FloatArray
@@ -93,12 +99,12 @@ class _Curves(NamedTuple):
 
     def used(self) -> tuple[FloatArray, FloatArray]:
         """The share (m,) of the places that count, and that of the side with the fewest."""
-        share = self.kept.sum(axis=2) / NORMALS
+        share = self.kept.sum(axis=1) / NORMALS
         return share.mean(axis=1), share.min(axis=1)
 
     def scatter_px(self) -> FloatArray:
         """Standard deviation (m,) of the places that count."""
-        away = np.where(self.kept, self.offset - self.coefficients @ _BASIS.T, 0.0)
+        away = np.where(self.kept, self.offset - _BASIS @ self.coefficients, 0.0)
         count = self.kept.sum(axis=(1, 2))
         return np.asarray(np.sqrt((away**2).sum(axis=(1, 2)) / np.maximum(count - PARAMETERS, 1)))
 
@@ -151,10 +157,10 @@ def refine_quads(
     patches = decoded(image, corners, 2.5 * farthest, light)
     reach = farthest
     for _ in range(MOST_ROUNDS):
-        sides = _sides(corners, image.shape[1], bow_px)
+        sides = _sides(complex_from_pixels(corners), image.shape[1], bow_px)
         places = places_along(patches, sides, reach)
         curves = _curves(places, sides)
-        moves = _meeting(sides, curves)
+        moves = pixels_from_complex(_meeting(sides, curves))
         corners = corners + moves
         moved = np.abs(moves).max(axis=(1, 2))
         # a side that is still on its way must not leave the edge behind
@@ -174,7 +180,7 @@ def refine_quads(
     blur = places.blur_px
     crowded = CROWDED_SHARE * np.maximum(blur - CROWDED_CELL * (mean_side(corners) / cells)[:, None], 0.0)
     eaten = np.where(places.full[:, None], blur, 0.0)
-    corners[~lost] += _outwards(sides.normal, EATEN_MEAN * eaten)[~lost]
+    corners[~lost] += outwards(sides.normal, EATEN_MEAN * eaten)[~lost]
     shrunk = np.sqrt((EATEN_STD * eaten) ** 2 + crowded**2 + (ENCODED * encoding_error * blur) ** 2)
     return Refined(corners, offset_std, turn_std, shrunk, crowded.mean(axis=1))
 
@@ -185,23 +191,17 @@ def _room(corners: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     return np.asarray(np.minimum(corners, far).min(axis=(1, 2)))
 
 
-def _outwards(normal: FloatArray, by: FloatArray) -> FloatArray:
-    """How corners (m, 4, 2) move when sides with these normals (m, 4, 2) move outwards by so many (m, 4)."""
-    moved = by[..., None] * normal
-    return np.asarray(moved + moved[:, (3, 0, 1, 2)])
-
-
-def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) -> Sides:
-    across = corners[:, (1, 2, 3, 0)] - corners
-    length = np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0)
-    along = across / length[..., None]
-    normal = along[..., ::-1] * (1.0, -1.0)
-    end = np.maximum(END_SHARE, END_PX / (0.25 * length.sum(axis=1)))
+def _sides(corners: ComplexArray, image_width_px: int, bow_px: FloatArray | None) -> Sides:
+    across = corners[:, NEXT] - corners
+    length = np.maximum(np.abs(across), 1.0)
+    along = across / length
+    end = np.maximum(END_SHARE, END_PX / (0.25 * length.sum(axis=1, keepdims=True)))
     span = 1.0 - 2.0 * np.minimum(end, MOST_END_SHARE)
     if bow_px is None:
-        bow_std = BOW / image_width_px * length**2
-        return Sides(corners, along, normal, length, span, np.zeros_like(length), bow_std)
-    return Sides(corners, along, normal, length, span, bow_px, BOW_LEFT_PER_PX * length**2)
+        bow_px, bow_std = np.zeros_like(length), BOW / image_width_px * length**2
+    else:
+        bow_std = BOW_LEFT_PER_PX * length**2
+    return Sides(corners, along, -1j * along, length, span, bow_px, bow_std)
 
 
 def _curves(places: Places, sides: Sides) -> _Curves:
@@ -212,27 +212,27 @@ def _curves(places: Places, sides: Sides) -> _Curves:
     A place that is left out is put on the curve and the fit repeated: with few of them that is as good as to
     weigh them with nothing, and one small product does for all sides.
     """
-    bend = 1.0 - (sides.span**2)[:, None] * PLACES**2
-    offset = places.offset - sides.bow[..., None] * bend[:, None]
-    m = len(offset)
+    m = len(places.offset)
+    bend = 1.0 - sides.span**2 * PLACES**2
+    offset = places.offset - sides.bow[:, None] * bend[..., None]
     usual = median(places.contrast.reshape(m, -1))
     keep = places.contrast > (LEAST_CONTRAST * usual)[:, None, None]
-    gain = np.ones((m, 4, 3))
-    gain[..., 2] = _shrink(sides)
-    filled = offset if keep.all() else np.where(keep, offset, median(offset)[..., None])
+    gain = np.ones((m, 3, 4))
+    gain[:, 2] = _shrink(sides)
+    filled = offset if keep.all() else np.where(keep, offset, median(offset.swapaxes(1, 2))[:, None])
     for _ in range(REFITS):
-        fitted = ((filled @ _BASIS) * gain) @ _BASIS.T
+        fitted = _BASIS @ (gain * (_BASIS.T @ filled))
         away = np.abs(offset - fitted)
         most = np.maximum(1.48 * median(away.reshape(m, -1)), LEAST_SPREAD_PX) * OUTLIER_SIGMA
         keep &= away < most[:, None, None]
         filled = np.where(keep, offset, fitted)
-    return _Curves((filled @ _BASIS) * gain, offset, keep)
+    return _Curves(gain * (_BASIS.T @ filled), offset, keep)
 
 
 def _shrink(sides: Sides) -> FloatArray:
     """By how much (m, 4) the bow's coefficient is drawn to what is expected of it: 0 wholly, 1 not at all."""
-    bow = _bow_std(sides)
-    return np.asarray(bow**2 / (bow**2 + PLACE_STD_PX**2))
+    variance = _bow_std(sides) ** 2
+    return np.asarray(variance / (variance + PLACE_STD_PX**2))
 
 
 def _bow_std(sides: Sides) -> FloatArray:
@@ -240,25 +240,22 @@ def _bow_std(sides: Sides) -> FloatArray:
     return np.asarray(sides.bow_std * _TRIANGLE[2, 2])
 
 
-def _meeting(sides: Sides, curves: _Curves) -> FloatArray:
-    """How far (m, 4, 2) px the corners are from where each side's curve meets that of the side before."""
-    plain = curves.coefficients @ _POLYNOMIALS.T  # of u^0, u^1, u^2
-    u = (1.0 / sides.span)[:, None]
+def _meeting(sides: Sides, curves: _Curves) -> ComplexArray:
+    """How far (m, 4) px the corners are from where each side's curve meets that of the side before."""
+    u = 1.0 / sides.span
+    plain = _POLYNOMIALS @ curves.coefficients  # of u^0, u^1, u^2
+    tilt, bent = u * plain[:, 1], u * u * plain[:, 2]
+    middle = plain[:, 0] + bent
     # the lens's bow belongs to the curve, and vanishes at the corners
-    c0, c1, c2 = plain[..., 0] + sides.bow, plain[..., 1], plain[..., 2] - sides.bow / u**2
-    middle, tilt, bent = c0 + u**2 * c2, u * c1, 2.0 * u * c2
-    slope = ((2.0 * u) / sides.length)[..., None] * sides.along
+    bent = 2.0 * (bent - sides.bow)
     # tangents at a side's start and, of the side before, at its end: lines a . x = offset
-    a = sides.normal - (c1 - bent)[..., None] * slope
-    b = (sides.normal - (c1 + bent)[..., None] * slope)[:, (3, 0, 1, 2)]
-    ahead, behind = (middle + tilt)[:, (3, 0, 1, 2)], middle - tilt
-    ax, ay, bx, by = a[..., 0], a[..., 1], b[..., 0], b[..., 1]
-    determinant = ax * by - ay * bx
+    slope = 2.0 / sides.length * sides.along
+    a = sides.normal - (tilt - bent) * slope
+    b = (sides.normal - (tilt + bent) * slope)[:, BEFORE]
+    ahead, behind = (middle + tilt)[:, BEFORE], middle - tilt
+    determinant = (a.conj() * b).imag
     determinant[np.abs(determinant) < 0.05] = np.inf
-    moves = np.empty_like(a)
-    moves[..., 0] = (behind * by - ahead * ay) / determinant
-    moves[..., 1] = (ahead * ax - behind * bx) / determinant
-    return moves
+    return np.asarray(1j * (ahead * a - behind * b) / determinant)
 
 
 def _side_std(sides: Sides, curves: _Curves, used: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -267,10 +264,10 @@ def _side_std(sides: Sides, curves: _Curves, used: FloatArray) -> tuple[FloatArr
     What both ends have in common, by the curve's height and what is not known of its bow, and what they have
     with opposite signs, by its turn: that is how a straight line's ends err independently of each other.
     """
-    u = 1.0 / sides.span
+    u = 1.0 / sides.span[:, 0]
     ends = np.stack((np.ones_like(u), u, u**2), axis=1) @ _POLYNOMIALS
     length = 0.25 * sides.length.sum(axis=1)
-    spacing = length * sides.span / (NORMALS - 1)
+    spacing = length * sides.span[:, 0] / (NORMALS - 1)
     alike = np.maximum(CORRELATED_PX / spacing, 1.0)
     place = curves.scatter_px() ** 2 * alike / np.maximum(used, 0.1)
     shrink = _shrink(sides)

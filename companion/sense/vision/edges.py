@@ -27,18 +27,24 @@ FULL_GREY: Final = 250
 # the least share of an edge's way that is trusted to be seen through the window
 LEAST_GAIN: Final = 0.4
 
+ComplexArray = NDArray[np.complex128]
+
 PROPORTIONAL: Final = np.arange(256, dtype=np.float32)
 
 PLACES: Final = np.linspace(-1.0, 1.0, NORMALS)
 _TAPS: Final = np.linspace(-1.0, 1.0, TAPS, dtype=np.float32)
-# where a side's samples are, from its middle: in terms of 1, the half of it that is looked at, and the reach
+# where a side's samples are, tap by tap, from its middle: in terms of 1, the half of it that is looked at,
+# and the reach
 _SAMPLES: Final[FloatArray] = np.stack(
-    (np.ones(NORMALS * TAPS), np.repeat(PLACES, TAPS), np.tile(_TAPS, NORMALS)), axis=1
+    (np.ones(TAPS * NORMALS), np.tile(PLACES, TAPS), np.repeat(_TAPS, NORMALS)), axis=1
 )
 _BETWEEN: Final = 0.5 * (_TAPS[1:] + _TAPS[:-1])
 _WINDOW: Final = 1.0 - _BETWEEN**4
-# what a normal's differences are summed with: their weight, mean and mean square (12, 3)
-_MOMENTS: Final = np.stack((_WINDOW, _WINDOW * _BETWEEN, _WINDOW * _BETWEEN**2), axis=1)
+# what a normal's differences are summed with: their weight, mean and mean square (3, 12)
+_MOMENTS: Final = np.stack((_WINDOW, _WINDOW * _BETWEEN, _WINDOW * _BETWEEN**2))
+# of four corners or sides the one after each, and the one before
+NEXT: Final = np.array((1, 2, 3, 0))
+BEFORE: Final = np.array((3, 0, 1, 2))
 
 
 def _gains() -> tuple[FloatArray, FloatArray]:
@@ -54,7 +60,7 @@ def _gains() -> tuple[FloatArray, FloatArray]:
         below = np.array(
             [[math.erf((tap - at) / sigma / math.sqrt(2.0)) for tap in _TAPS] for at in (0.0, step)]
         )
-        weight, mean, square = (np.diff(below, axis=1) @ _MOMENTS).T
+        weight, mean, square = _MOMENTS @ np.diff(below, axis=1).T
         widths.append(math.sqrt(float(np.mean(square / weight - (mean / weight) ** 2))))
         gains.append(float(mean[1] / weight[1]) / step)
     return np.array(widths), np.array(gains)
@@ -64,19 +70,19 @@ _WIDTHS, _GAINS = _gains()
 
 
 class Sides(NamedTuple):
-    """Straight sides (m, 4) of markers, their directions and outward normals (m, 4, 2)."""
+    """Straight sides (m, 4) of markers; places, directions and outward normals are u + iv."""
 
-    start: FloatArray
-    along: FloatArray
-    normal: FloatArray
+    start: ComplexArray
+    along: ComplexArray
+    normal: ComplexArray
     length: FloatArray
-    span: FloatArray  # (m,) half the share of the side's length that is looked at, twice
-    bow: FloatArray  # (m, 4) how far outwards the lens moves their middles, px
-    bow_std: FloatArray  # (m, 4) of what is not known of it
+    span: FloatArray  # (m, 1) half the share of the side's length that is looked at, twice
+    bow: FloatArray  # how far outwards the lens moves their middles, px
+    bow_std: FloatArray  # of what is not known of it
 
 
 class Places(NamedTuple):
-    """Where sides cross their normals (m, 4, NORMALS), px outwards; contrasts alike; their blur (m, 4)."""
+    """Where sides cross their normals (m, NORMALS, 4), px outwards; contrasts alike; their blur (m, 4)."""
 
     offset: FloatArray
     contrast: FloatArray
@@ -87,12 +93,12 @@ class Places(NamedTuple):
 class Patches(NamedTuple):
     """The light about each of m markers, one patch below the other in one image.
 
-    `shift` (m, 2) px is from the whole image, of that size, to there; `full` is the light of cut-off white,
-    and `whole` are patches of which the picture's edge cuts nothing off.
+    `shift` (m, 1), u + iv, is from the whole image, of that size, to there; `full` is the light of cut-off
+    white, and `whole` are patches of which the picture's edge cuts nothing off.
     """
 
     light: NDArray[np.float32]
-    shift: FloatArray
+    shift: ComplexArray
     size_px: tuple[int, int]
     full: float
     whole: bool
@@ -103,74 +109,96 @@ def decoded(
 ) -> Patches:
     """Decode what lies within so many pixels (m,) of markers: most of an image is none of theirs."""
     rows, columns = image.shape
-    least = (quads.min(axis=1) - margin[:, None]).astype(int)
-    most = (quads.max(axis=1) + margin[:, None]).astype(int) + 2
-    whole = bool((least >= 0).all() and (most <= (columns, rows)).all())
-    low = np.minimum(np.maximum(least, 0), (columns - 2, rows - 2))
-    high = np.minimum(np.maximum(most, low + 2), (columns, rows))
-    width, height = (high - low).T
-    top = np.cumsum(height) - height
-    seen = np.zeros((int(height.sum()), int(width.max())), np.float32)
-    for (left, above), (right, below), y in zip(low.tolist(), high.tolist(), top.tolist(), strict=True):
-        seen[y : y + below - above, : right - left] = cv2.LUT(image[above:below, left:right], light)
-    shift = np.stack((-low[:, 0], top - low[:, 1]), axis=1).astype(np.float64)
-    return Patches(seen, shift, (columns, rows), float(light[FULL_GREY]), whole)
+    least = (quads.min(axis=1) - margin[:, None]).astype(int).tolist()
+    most = (quads.max(axis=1) + margin[:, None]).astype(int).tolist()
+    parts, shift, height, width, whole = [], [], 0, 0, True
+    for (u, v), (last_u, last_v) in zip(least, most, strict=True):
+        whole &= u >= 0 and v >= 0 and last_u + 2 <= columns and last_v + 2 <= rows
+        left, top = min(max(u, 0), columns - 2), min(max(v, 0), rows - 2)
+        right, bottom = min(max(last_u, left) + 2, columns), min(max(last_v, top) + 2, rows)
+        parts.append((image[top:bottom, left:right], height))
+        shift.append(complex(-left, height - top))
+        height, width = height + bottom - top, max(width, right - left)
+    seen = np.zeros((height, width), np.float32)
+    for part, top in parts:
+        cv2.LUT(part, light, seen[top : top + part.shape[0], : part.shape[1]])
+    return Patches(seen, np.array(shift)[:, None], (columns, rows), float(light[FULL_GREY]), whole)
 
 
 def places_along(patches: Patches, sides: Sides, reach: FloatArray) -> Places:
     """Where each normal goes from black to white: the centre of its rise, more weight near its middle."""
     m = len(reach)
-    half = 0.5 * sides.length[..., None] * sides.along
-    ways = np.empty((m, 4, 3, 2))
-    ways[:, :, 0] = sides.start + half + patches.shift[:, None]
-    ways[:, :, 1] = sides.span[:, None, None] * half
-    ways[:, :, 2] = reach[:, None, None] * sides.normal
-    at = (_SAMPLES @ ways.reshape(m * 4, 3, 2)).astype(np.float32)
+    half = 0.5 * sides.length * sides.along
+    ways = np.empty((m, 3, 4), np.complex128)
+    ways[:, 0] = sides.start + half + patches.shift
+    ways[:, 1] = sides.span * half
+    ways[:, 2] = reach[:, None] * sides.normal
+    at = (_SAMPLES @ ways.view(np.float64)).astype(np.float32).reshape(-1, 4, 2)
     # one map has both u and v
     none = cast(FloatArray, None)
     seen = cv2.remap(patches.light, at, none, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    brightness = np.asarray(seen, np.float32).reshape(-1, TAPS)
+    brightness = np.asarray(seen, np.float32).reshape(m, TAPS, NORMALS * 4)
     # blurred white between two edges is nowhere as bright as it is in the middle
-    black = median(brightness[:, 0].astype(np.float64).reshape(m, -1))
-    white = median(brightness.max(axis=1).astype(np.float64).reshape(m, -1))
+    black, white = median(brightness[:, 0]), median(brightness.max(axis=1))
     # what falls is another edge, of the code inside or of what lies beside the marker; noise that falls stays
     # in, for without it the noise that rises moves edges to where there is more of it, into the white
-    floor = (-NOISE_SHARE * np.maximum(white - black, 0.0)).astype(np.float32)
-    rise = (brightness[:, 1:] - brightness[:, :-1]).reshape(m, -1)
-    rise *= rise >= floor[:, None]
-    moments = (rise.reshape(-1, TAPS - 1) @ _MOMENTS).reshape(m, 4, NORMALS, 3)
-    contrast = moments[..., 0]
+    floor = -NOISE_SHARE * np.maximum(white - black, 0.0)
+    rise = brightness[:, 1:] - brightness[:, :-1]
+    rise *= rise >= floor[:, None, None]
+    moments = (_MOMENTS @ rise).reshape(m, 3, NORMALS, 4)
+    contrast = moments[:, 0]
     if not patches.whole:
         contrast = np.where(_within(at, patches), contrast, 0.0)
-    sure = np.maximum(contrast, 1.0)
-    mean = moments[..., 1] / sure
-    width = np.sqrt(np.maximum(moments[..., 2] / sure - mean**2, 0.0))
+    mean, square = moments[:, 1:].swapaxes(0, 1) / np.maximum(contrast, 1.0)
+    width = np.sqrt(np.maximum(square - mean * mean, 0.0))
     # what moves is blurred along its way, and so are the sides across it
-    blur = median(width)
+    blur = median(width.swapaxes(1, 2))
     gain = np.maximum(np.interp(blur, _WIDTHS, _GAINS), LEAST_GAIN)
-    offset = np.maximum(np.minimum(mean / gain[..., None], 1.0), -1.0) * reach[:, None, None]
-    full = white >= patches.full
-    return Places(offset, contrast, blur * reach[:, None], full)
+    offset = np.maximum(np.minimum(mean / gain[:, None], 1.0), -1.0) * reach[:, None, None]
+    return Places(offset, contrast, blur * reach[:, None], white >= patches.full)
 
 
 def _within(at: NDArray[np.float32], patches: Patches) -> NDArray[np.bool_]:
-    """Which normals, samples (4m, NORMALS * TAPS, 2) along them, end in the image (m, 4, NORMALS).
+    """Which normals, samples (m * TAPS * NORMALS, 4, 2) along them, end in the image (m, NORMALS, 4).
 
     Beyond, its last pixels are repeated: a rise is cut.
     """
-    ends = at.reshape(len(patches.shift), 4, NORMALS, TAPS, 2)[..., :: TAPS - 1, :]
-    first = patches.shift.astype(np.float32)[:, None, None, None]
+    first = patches.shift.view(np.float64).astype(np.float32)[:, None, None, None]
     last = first + np.float32(np.array(patches.size_px) - 1)
-    return np.asarray(((ends >= first) & (ends <= last)).all(axis=(3, 4)))
+    ends = at.reshape(len(first), TAPS, NORMALS, 4, 2)[:, :: TAPS - 1]
+    return np.asarray(((ends >= first) & (ends <= last)).all(axis=(1, 4)))
 
 
-def median(values: FloatArray) -> FloatArray:
+def median(values: NDArray[np.floating]) -> FloatArray:
     """Along the last axis, the upper one of two: a fraction of what numpy's own costs for so few."""
     half = values.shape[-1] // 2
-    return np.asarray(np.partition(values, half, axis=-1)[..., half])
+    return np.asarray(np.partition(values, half, axis=-1)[..., half], np.float64)
 
 
 def mean_side(quads: FloatArray) -> FloatArray:
     """Mean length (m,) of the sides of quads (m, 4, 2)."""
-    across = quads[:, (1, 2, 3, 0)] - quads
-    return np.asarray(0.25 * np.sqrt((across**2).sum(axis=2)).sum(axis=1))
+    corners = complex_from_pixels(quads)
+    return np.asarray(0.25 * np.abs(corners[:, NEXT] - corners).sum(axis=1))
+
+
+def normals(quads: FloatArray) -> ComplexArray:
+    """Outward unit normals u + iv (m, 4) of the sides of quads (m, 4, 2)."""
+    corners = complex_from_pixels(quads)
+    along = corners[:, NEXT] - corners
+    return -1j * (along / np.abs(along))
+
+
+def outwards(normal: ComplexArray, by: FloatArray | float) -> FloatArray:
+    """How corners (m, 4, 2) move when sides with these normals (m, 4) move outwards by so many (m, 4)."""
+    moved = by * normal
+    return pixels_from_complex(moved + moved[:, BEFORE])
+
+
+def complex_from_pixels(pixels: FloatArray) -> ComplexArray:
+    """Places u + iv (m, 4) of pixels (m, 4, 2)."""
+    return pixels.view(np.complex128)[..., 0]
+
+
+def pixels_from_complex(places: ComplexArray) -> FloatArray:
+    """Pixels (m, 4, 2) of places u + iv (m, 4)."""
+    return places.view(np.float64).reshape(-1, 4, 2)

@@ -78,6 +78,7 @@ SAME_RAD: Final = 0.002
 MAXIMUM_TURN_RAD: Final = math.radians(10.0)
 # a pad whose tilt is more than this many standard deviations is not our pad
 MAXIMUM_TILT_SIGMA: Final = 4.0
+_EYE: Final = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,17 +104,19 @@ class _Problem:
     """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
     `rate` (3,) is how the camera is known to turn. `delay_s` is when each point's row is exposed, after the
-    mean row; `shared` how what the rays' errors have in common (the rotors' vibration, sides that lie too far
-    in) moves them. `weight` (6 + c,) holds the inverse variances of velocity, rate of turn and these.
+    mean row, `row_px`; `shared` how what the rays' errors have in common (the rotors' vibration, sides that
+    lie too far in) moves them. `weight` (6 + c,) holds the inverse variances of velocity, rate of turn and
+    these.
     """
 
     points: FloatArray  # (n, 3)
     rays: FloatArray  # (n, 2)
+    row_px: float
     delay_s: FloatArray  # (n,)
     down: FloatArray | None  # (3,)
     whitening: FloatArray  # (2n, 2n)
     level_sigma: float
-    shared: FloatArray  # (2n, c)
+    shared: FloatArray  # (c, 2, n)
     weight: FloatArray
     rate: FloatArray
     focal_px: float
@@ -214,15 +217,15 @@ def _problem(
     rate_camera_rad_s: Vector3,
 ) -> _Problem:
     pixels = np.concatenate([d.corners_px for d in detections])
-    delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
+    row_px = float(pixels[:, 1].sum()) / len(pixels)
+    delay_s = (pixels[:, 1] - row_px) * (lens.readout_s / lens.size_px[1])
     vibrating, rays = vibration(delay_s), lens.undistort(pixels)
     slopes = lens.slopes(rays) if lens.fisheye else None
     shrunk_px = np.array([edge_std_px(d) for d in detections])
     if slopes is None:
         shrunk = shrinking(rays, shrunk_px / lens.focal_px)
     else:
-        moved_px = shrinking(pixels, shrunk_px).reshape(2, -1).T[..., None]
-        shrunk = np.asarray(np.linalg.solve(slopes, moved_px)[..., 0].T.reshape(-1, 1), dtype=np.float64)
+        shrunk = np.asarray(np.linalg.solve(slopes, shrinking(pixels, shrunk_px)[..., None])[..., 0], float)
     speed = config.relative_speed_std_m_s
     climb = math.hypot(_climb_std_m_s(detections, lens, config), climb_m_s)
     spread = [speed, speed, climb] + [config.turn_rate_std_rad_s] * 3
@@ -230,11 +233,12 @@ def _problem(
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
         rays=rays,
+        row_px=row_px,
         delay_s=delay_s,
         down=None if down_camera is None else np.array(down_camera),
         whitening=_whitening(detections, rays, slopes, lens, config),
         level_sigma=math.radians(config.tilt_std_deg),
-        shared=np.concatenate((vibrating, shrunk), axis=1),
+        shared=np.concatenate((vibrating.T.reshape(-1, 2, len(rays)), shrunk.T[None])),
         weight=np.array(spread) ** -2,
         rate=np.array(rate_camera_rad_s),
         focal_px=lens.focal_px,
@@ -283,15 +287,16 @@ def _accept(
 ) -> PoseFits:
     """Poses with their covariances: the corners' noise as observed, and what they do not show."""
     scale = _scale(fits[0], problem)
-    row_px = float(np.array([d.corners_px[:, 1] for d in used]).mean(axis=1).mean())
     rms_px = float(np.sqrt((errors_px**2).mean()))
     made = []
     for fit in fits:
         common = (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
         covariance = fit.covariance * scale
         unseen = unseen_m2(float(fit.position[2]), problem.delay_s, problem.focal_px)
-        covariance[:3, :3] += np.eye(3) * (common + unseen)
-        made.append(PoseFit(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common))
+        covariance[:3, :3] += _EYE * (common + unseen)
+        made.append(
+            PoseFit(fit.position, fit.rotation, covariance, problem.row_px, tuple(used), rms_px, common)
+        )
     alike = len(fits) > 1 and fits[1].squares <= _most_squares(fits[0], problem)
     return PoseFits(tuple(made[: 1 + alike]), problem, tuple(fits))
 
@@ -405,14 +410,14 @@ def _fit(
     moved = expected.copy()
     for _ in range(iterations):
         jacobian, misses = _linearised(problem, rotation, position, moved)
-        white, missed = problem.whitening @ jacobian, problem.whitening @ misses
+        white, missed = jacobian @ problem.whitening.T, problem.whitening @ misses
         information, gradient = _normal_equations(problem, white, missed, rotation, moved - expected)
         try:
             step = np.linalg.solve(information, gradient)
         except np.linalg.LinAlgError:
             return None
         unexpected = moved + step[6:] - expected
-        squares = float(((missed - white @ step) ** 2).sum() + problem.weight @ unexpected**2)
+        squares = float(((missed - step @ white) ** 2).sum() + problem.weight @ unexpected**2)
         if squares > most_squares:
             return None
         position, moved = position + step[:3], moved + step[6:]
@@ -422,7 +427,7 @@ def _fit(
             return None
         if np.abs(step[:6]).max() < CONVERGED:
             break
-    left = (misses - jacobian @ step).reshape(2, -1)
+    left = (misses - step @ jacobian).reshape(2, -1)
     covariance = np.linalg.inv(information)[:6, :6]
     return _Fit(rotation, position, 0.5 * (covariance + covariance.T), left, squares)
 
@@ -430,34 +435,30 @@ def _fit(
 def _linearised(
     problem: _Problem, rotation: FloatArray, position: FloatArray, moved: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Jacobian (2n, m) and misses (2n,) of the rays, all u and then all v.
+    """Jacobian (m, 2n), an unknown a row, and misses (2n,) of the rays, all u and then all v.
 
     Unknowns: position, rotation (on the left), and in `moved`: velocity of the pad's origin and its rate of
     turn, and what the errors have in common.
     """
-    turned = rotation @ problem.points.T
-    a, b, c = turned
-    vx, vy, vz, wx, wy, wz = moved[:6].tolist()
-    delay = problem.delay_s
-    x = a + position[0] + delay * (vx + wy * c - wz * b)
-    y = b + position[1] + delay * (vy + wz * a - wx * c)
-    inverse = 1.0 / np.maximum(c + position[2] + delay * (vz + wx * b - wy * a), NEAREST_M)
-    u, v = x * inverse, y * inverse
-    a, b, c = a * inverse, b * inverse, c * inverse
-    n = len(u)
-    whole = np.empty((2 * n, 12 + problem.shared.shape[1]))
-    whole[:, 12:] = problem.shared
-    jacobian = np.zeros((2, n, 6))
-    along_u, along_v = jacobian
-    # a small turn moves a point by turn x point, so a row's rotation part is point x (its position part)
-    along_u[:, 0], along_u[:, 2] = inverse, -u * inverse
-    along_u[:, 3], along_u[:, 4], along_u[:, 5] = -u * b, c + u * a, -b
-    along_v[:, 1], along_v[:, 2] = inverse, -v * inverse
-    along_v[:, 3], along_v[:, 4], along_v[:, 5] = -c - v * b, v * a, a
-    whole[:, :6] = jacobian.reshape(-1, 6)
-    whole[:, 6:12] = (jacobian * delay[:, None]).reshape(-1, 6)
-    seen = np.concatenate((problem.rays[:, 0] - u, problem.rays[:, 1] - v))
-    return whole, seen - problem.shared @ moved[6:]
+    turned, delay, common = rotation @ problem.points.T, problem.delay_s, len(problem.shared)
+    wx, wy, wz = moved[3:6].tolist()
+    spin = np.array([(0.0, -wz, wy), (wz, 0.0, -wx), (-wy, wx, 0.0)])
+    place = position[:, None] + turned + delay * (moved[:3, None] + spin @ turned)
+    inverse = 1.0 / np.maximum(place[2], NEAREST_M)
+    seen = place[:2] * inverse
+    a, b, c = turned * inverse
+    by = np.zeros((12 + common, 2, len(inverse)))
+    by[0, 0] = by[1, 1] = inverse
+    by[2] = -seen * inverse
+    # a small turn moves a point by turn x point, so a ray's rotation part is point x (its position part)
+    by[3], by[4] = -seen * b, seen * a
+    by[3, 1] -= c
+    by[4, 0] += c
+    by[5, 0], by[5, 1] = -b, a
+    by[6:12] = by[:6] * delay
+    by[12:] = problem.shared
+    jacobian = by.reshape(12 + common, -1)
+    return jacobian, (problem.rays.T - seen).reshape(-1) - moved[6:] @ jacobian[12:]
 
 
 def _normal_equations(
@@ -468,12 +469,11 @@ def _normal_equations(
     Of the corners it takes the Jacobian and the misses, whitened; `unexpected` is the motion beyond what is
     known of it.
     """
-    information = white.T @ white
-    gradient = white.T @ missed
+    information, gradient = white @ white.T, white @ missed
     if problem.down is not None:
         axis, weight = rotation[:, 2], problem.level_sigma**-2
-        information[3:6, 3:6] += weight * (np.eye(3) - np.outer(axis, axis))
+        information[3:6, 3:6] += weight * (_EYE - axis[:, None] * axis)
         gradient[3:6] += weight * np.array(cross(vector3(axis), vector3(problem.down)))
-    information[6:, 6:] += np.diag(problem.weight)
+    np.einsum("ii->i", information)[6:] += problem.weight
     gradient[6:] -= problem.weight * unexpected
     return information, gradient

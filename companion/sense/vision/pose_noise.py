@@ -16,6 +16,7 @@ import numpy as np
 from companion.base.geometry import FloatArray
 from companion.config import VisionConfig
 from companion.sense.vision.aruco import STRAIGHT_SHARE, Detection
+from companion.sense.vision.edges import NEXT, normals, outwards, pixels_from_complex
 
 # how far all sides of all markers may lie too far in or out: black and white blur unlike
 EDGE_STD_PX: Final = 0.006
@@ -25,6 +26,8 @@ ACCELERATION_STD_M_S2: Final = 0.4
 # rotors vibrate at some frequency between 40 and 160 Hz: more are distinguished the longer the readout is
 ROTOR_HZ: Final = ((100.0,), (70.0, 130.0), (60.0, 100.0, 140.0))
 APART_S: Final = 0.005
+# what of a side's misses is that of its ends: sides, kinds (alike, opposite), -, corners
+_ENDS: Final = 0.5 * np.stack((np.eye(4) + np.eye(4)[NEXT], np.eye(4) - np.eye(4)[NEXT]), axis=1)[:, :, None]
 
 
 def side_noise_px(detection: Detection, config: VisionConfig) -> tuple[float, float]:
@@ -50,15 +53,10 @@ def whitening(
     and that of its ends by its turn. Markers that have a covariance of their corners (8, 8), u and v of each
     in turn, err by that.
     """
-    m, along = len(sigma), _along(rays)
-    k, side = np.arange(m)[:, None], np.arange(4)
-    white = np.zeros((m, 4, 2, 2, m, 4))  # marker, side, kind | direction, marker, corner
-    for direction, normal in enumerate((along[..., 1], -along[..., 0])):
-        for kind, sign in enumerate((1.0, -1.0)):
-            scaled = normal * (0.5 / sigma[:, kind, None])
-            white[k, side, kind, direction, k, side] = scaled
-            white[k, side, kind, direction, k, (side + 1) % 4] = sign * scaled
-    white = white.reshape(m, 8, 2, m, 4)
+    m, k = len(sigma), np.arange(len(sigma))
+    across = pixels_from_complex(normals(rays.reshape(-1, 4, 2)))[:, :, None, :, None]
+    white = np.zeros((m, 8, 2, m, 4))  # marker, side and kind | direction, marker, corner
+    white[k, :, :, k] = (_ENDS * across / sigma[:, None, :, None, None]).reshape(m, 8, 2, 4)
     for number, covariance in enumerate(covariances):
         if covariance is not None:
             own = np.linalg.inv(np.linalg.cholesky(covariance)).reshape(8, 4, 2)
@@ -73,19 +71,8 @@ def corner_covariance_px2(detection: Detection, config: VisionConfig) -> FloatAr
 
 
 def shrinking(rays: FloatArray, std: FloatArray) -> FloatArray:
-    """How each ray moves (2n, 1) when all sides (m, 4) lie in by one standard deviation of theirs."""
-    along = _along(rays)
-    inward = np.stack((-along[..., 1], along[..., 0]), axis=2)
-    inward *= std[..., None]
-    both = inward + inward[:, (3, 0, 1, 2)]
-    return np.asarray(both.reshape(-1, 2).T.reshape(-1, 1))
-
-
-def _along(rays: FloatArray) -> FloatArray:
-    """Directions (m, 4, 2) of the sides between corners (4m, 2)."""
-    corners = rays.reshape(-1, 4, 2)
-    along = corners[:, (1, 2, 3, 0)] - corners
-    return np.asarray(along / np.sqrt((along**2).sum(axis=2))[..., None])
+    """How each ray (n, 2) moves when all sides (m, 4) lie in by one standard deviation of theirs."""
+    return outwards(normals(rays.reshape(-1, 4, 2)), -std).reshape(-1, 2)
 
 
 def unseen_m2(distance_m: float, delay_s: FloatArray, focal_px: float) -> float:

@@ -22,14 +22,13 @@ def level_start(points: FloatArray, rays: FloatArray, down: FloatArray) -> tuple
     t_z, and k by least squares about the means.
     """
     level_from_camera = _shortest_turn(down)
-    levelled = rays @ level_from_camera[:, :2].T + level_from_camera[:, 2]
-    if levelled[:, 2].min() < 0.05:
+    x, y, depth = level_from_camera[:, :2] @ rays.T + level_from_camera[:, 2:]
+    if depth.min() < 0.05:
         return ()
-    seen = (levelled[:, 0] + 1j * levelled[:, 1]) / levelled[:, 2]
-    printed = points[:, 0] + 1j * points[:, 1]
-    mean_seen, mean_printed = complex(seen.mean()), complex(printed.mean())
+    seen, printed = (x + 1j * y) / depth, points[:, 0] + 1j * points[:, 1]
+    mean_seen, mean_printed = complex(seen.sum()) / len(seen), complex(printed.sum()) / len(printed)
     about = printed - mean_printed
-    k = complex(np.vdot(about, seen - mean_seen) / np.vdot(about, about).real)
+    k = complex(np.vdot(about, seen)) / np.vdot(about, about).real
     scale = abs(k)
     if scale < 1e-6:
         return ()
@@ -42,7 +41,7 @@ def level_start(points: FloatArray, rays: FloatArray, down: FloatArray) -> tuple
 
 def _shortest_turn(down: FloatArray) -> FloatArray:
     """The rotation (3, 3) that takes `down` (unit, not straight up) to the z axis."""
-    x, y, z = (float(value) for value in down)
+    x, y, z = down.tolist()
     k = 1.0 / (1.0 + max(z, -0.999))
     return np.array([[1.0 - k * x * x, -k * x * y, -x], [-k * x * y, 1.0 - k * y * y, -y], [x, y, z]])
 

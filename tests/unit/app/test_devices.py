@@ -17,10 +17,10 @@ import pytest
 from companion.app import hardware
 from companion.app.app import supervised
 from companion.app.hardware import AwaitedBus, AwaitedPort, AwaitedTransport, Hardware, opened_if_there
-from companion.app.sensing import Sensing
+from companion.app.sensing import SEARCH_LOOK_S, Sensing
 from companion.base.clock import Clock
 from companion.base.errors import ConfigError, DeviceMissing
-from companion.base.messages import Frame, PadBeacon, PadObservation
+from companion.base.messages import Frame, PadBeacon, PadObservation, PadPrior
 from companion.config import CameraConfig, CompanionConfig, SenseConfig, VehicleConfig, find_file, load_model
 from companion.config.reading import validate
 from companion.flightlog.record import FlightLog
@@ -29,7 +29,7 @@ from companion.link.transport import memory_pair
 from companion.pad import load_pad
 from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
-from companion.sense.vision.pipeline import Vision
+from companion.sense.vision.pipeline import Vision, VisionResult
 from companion.tools.pad_check.moves import RecentSamples
 from companion.tools.pad_check.session import PadCheck
 from companion.tools.pad_check.wizard import Say
@@ -407,6 +407,41 @@ async def test_before_take_off_a_look_at_the_pad_now_and_then_is_enough() -> Non
     assert 8 <= on_ground <= 11
     assert len(times) - on_ground > 3 * on_ground
     assert counts[0] > 3 * on_ground  # every frame is judged and counts all the same
+
+
+@pytest.mark.parametrize("expected", [False, True])
+@in_virtual_time
+async def test_while_it_is_neither_seen_nor_expected_the_pad_is_looked_for_less_often(expected: bool) -> None:
+    looks = list[float]()
+
+    class Blind:
+        def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
+            del prior
+            looks.append(frame.time_s)
+            return VisionResult(None, {"F": 0, "M": 0, "C": 0}, searched_whole_frame=True)
+
+    class Expecting(RecentSamples):
+        def pad_prior(self, time_s: float) -> PadPrior | None:
+            return PadPrior(time_s, (0.0, 0.0, 1.0), (0.0, 0.0, 5.0) if expected else None)
+
+    clock = Clock()
+    sensing = Sensing(
+        CompanionConfig(),
+        Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=math.inf)),
+        Blind(),
+        Expecting(),
+        clock=clock,
+        log=FlightLog(None, start_unix_s=0.0),
+        notify=lambda _kind, _text, _severity: None,
+    )
+    sensing.on_ground = lambda: False
+    task = asyncio.create_task(run(sensing.tasks()["camera"]))
+    await clock.sleep_until(1.0)
+    task.cancel()
+    apart_s = np.diff(looks)
+    # a frame and the time that vision is modelled to take: 58 ms
+    assert (apart_s.min() >= SEARCH_LOOK_S) == (not expected)
+    assert apart_s.max() < 0.1
 
 
 async def run(work: Callable[[], Awaitable[None]]) -> None:
