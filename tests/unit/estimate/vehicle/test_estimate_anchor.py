@@ -20,11 +20,7 @@ from companion.base.messages import AutopilotAttitude, ImuSample, PadSighting
 from companion.config import EstimateConfig
 from companion.config.estimate import PadFilterConfig
 from companion.estimate.estimator import StateEstimator
-from companion.estimate.vehicle.attitude_reset import (
-    AttitudeReset,
-    ReportQueue,
-    apart,
-)
+from companion.estimate.vehicle.attitude_reset import AttitudeReset, ReportQueue, apart
 from tests.unit.estimate.estimate_flight import (
     FIELD_NED_UT,
     EstimateFlight,

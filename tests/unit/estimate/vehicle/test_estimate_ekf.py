@@ -224,8 +224,7 @@ def test_a_fix_without_vertical_speed_leaves_the_climb_rate_to_the_accelerometer
             height_m = 0.25 * elapsed_s**2 if elapsed_s <= 1.0 else 0.25 + 0.5 * (elapsed_s - 1.0)
             place = (ANTENNA[0], ANTENNA[1], ANTENNA[2] - height_m)
             ekf.apply(
-                0.01 * (k + 1) + 1e-4,
-                GpsStep(place, (0.0, 0.0, 0.0), (3.0, 3.0, 4.5), (0.15, 0.15, 50.0)),
+                0.01 * (k + 1) + 1e-4, GpsStep(place, (0.0, 0.0, 0.0), (3.0, 3.0, 4.5), (0.15, 0.15, 50.0))
             )
     assert ekf.x[15] == pytest.approx(-0.5, abs=0.1)
     assert start_std < 0.5

@@ -6,13 +6,7 @@ from dataclasses import replace
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2
-from companion.base.messages import (
-    AutopilotState,
-    LandedState,
-    LinkHealth,
-    PadState,
-    RangeSample,
-)
+from companion.base.messages import AutopilotState, LandedState, LinkHealth, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
 from companion.plan.events import MissionEvent
@@ -20,14 +14,7 @@ from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import contact_signs
 from companion.plan.mission.states import State
 from tests.unit.control.controller_inputs import vehicle_state
-from tests.unit.plan.landing.touchdown_attempt import (
-    CONFIG,
-    CYCLE_S,
-    WAIT_M,
-    sight,
-    sinking,
-    standing,
-)
+from tests.unit.plan.landing.touchdown_attempt import CONFIG, CYCLE_S, WAIT_M, sight, sinking, standing
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 SINKING = Motion((0.0, 0.0, -LEG_M + 0.1), (0.0, 0.0, 0.22))
@@ -257,8 +244,7 @@ def test_without_its_imu_and_unheard_it_is_not_pressed_down_until_it_is_seen() -
 
 
 @pytest.mark.parametrize(
-    ("silent_s", "over_m", "stands"),
-    [(0.0, 0.05, True), (0.5, 0.05, False), (0.5, 0.01, True)],
+    ("silent_s", "over_m", "stands"), [(0.0, 0.05, True), (0.5, 0.05, False), (0.5, 0.01, True)]
 )
 def test_what_stops_over_the_pad_unheard_is_held_by_the_autopilot(
     silent_s: float, over_m: float, stands: bool

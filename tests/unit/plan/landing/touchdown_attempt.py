@@ -5,13 +5,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
-from companion.base.messages import (
-    AutopilotState,
-    LandedState,
-    LinkHealth,
-    PadState,
-    RangeSample,
-)
+from companion.base.messages import AutopilotState, LandedState, LinkHealth, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, LandingConfig, TouchdownConfig
 from companion.plan.events import DetectedEvent, MissionEvent
