@@ -5,16 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.control.bench_descents import (
-    FUZZY,
-    PACED,
-    Row,
-    Switch,
-    bars,
-    figure,
-    read_rows,
-    table,
-)
+from benchmarks.control.bench_descents import FUZZY, PACED, Row, Switch, bars, figure, read_rows, table
 from companion.base.messages import Conditions
 from companion.plan.speed.laws import SpeedController
 

@@ -285,11 +285,7 @@ def test_the_key_of_the_results_covers_the_judge_the_cases_and_the_settings(tmp_
 
 @pytest.mark.parametrize(
     ("fault", "began", "expected"),
-    [
-        ("pilot: Hold", True, True),
-        ("pilot: Hold", False, False),
-        ("GPS lost", True, False),
-    ],
+    [("pilot: Hold", True, True), ("pilot: Hold", False, False), ("GPS lost", True, False)],
 )
 def test_a_pilots_end_needs_a_pilots_fault_that_began(
     monkeypatch: pytest.MonkeyPatch, fault: str, began: bool, expected: bool

@@ -61,9 +61,7 @@ def frame(time_s: float, message: mavlink.MAVLink_message, sender: mavlink.MAVLi
     return struct.pack(">Q", round(time_s * 1e6)) + bytes(message.pack(sender))
 
 
-def test_a_folder_without_recordings_ends_in_one_line(
-    tmp_path: Path,
-) -> None:
+def test_a_folder_without_recordings_ends_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="No such file"):
         main([str(tmp_path)])
     (tmp_path / "arducopter.tlog").write_bytes(b"no recording at all, not one frame of it")

@@ -27,8 +27,7 @@ def test_results_hold_the_tables_the_lines_and_the_bars(capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize(
-    ("bars", "status"),
-    [(None, 0), ({}, 1), ({"a": True}, 0), ({"a": True, "b": False}, 1)],
+    ("bars", "status"), [(None, 0), ({}, 1), ({"a": True}, 0), ({"a": True, "b": False}, 1)]
 )
 def test_the_exit_status_needs_bars_that_hold(bars: dict[str, bool] | None, status: int) -> None:
     report = BenchReport()

@@ -27,15 +27,12 @@ from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import EkfInput, GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
+from tests.attitudes import between_rad
+from tests.unit.estimate.at_rest import FIELD
 
-FIELD = (20.9, 0.6, 42.9)
 angles = st.floats(-math.pi, math.pi)
 pitches = st.floats(-1.5, 1.5)
 attitudes = st.builds(quat_from_euler, angles, pitches, angles)
-
-
-def angle(a: Quaternion, b: Quaternion) -> float:
-    return float(np.linalg.norm(rotation_vector_from_quat(quat_multiply(a, quat_conjugate(b)))))
 
 
 @given(attitudes, attitudes, st.floats(0.0, 10.0), st.floats(0.0, 0.1))
@@ -45,8 +42,8 @@ def test_blend_lies_between_and_has_unit_length(
 ) -> None:
     mixed = blend(q, r, error_rate, dt_s)
     assert math.fsum(value * value for value in mixed) == pytest.approx(1.0)
-    assert angle(mixed, q) <= angle(r, q) + 1e-6
-    assert angle(mixed, r) <= angle(r, q) + 1e-6
+    assert between_rad(mixed, q) <= between_rad(r, q) + 1e-6
+    assert between_rad(mixed, r) <= between_rad(r, q) + 1e-6
 
 
 @given(angles, pitches, angles)
@@ -55,7 +52,7 @@ def test_alignment_inverts_the_sensors(roll: float, pitch: float, yaw: float) ->
     q = quat_from_euler(roll, pitch, yaw)
     force = quat_rotate_inverse(q, (0.0, 0.0, -GRAVITY_M_S2))
     found = align(force, quat_rotate_inverse(q, FIELD), math.atan2(FIELD[1], FIELD[0]))
-    assert angle(found, q) < 1e-5
+    assert between_rad(found, q) < 1e-5
 
 
 def inputs(seed: int) -> list[tuple[float, EkfInput]]:

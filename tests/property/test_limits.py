@@ -104,9 +104,7 @@ def _assert_change(before: Setpoint, after: Setpoint) -> None:
 
 @settings(max_examples=200, deadline=None)
 @given(steps)
-def test_every_setpoint_that_leaves_is_within_all_bounds(
-    sequence: list[tuple[Setpoint, float]],
-) -> None:
+def test_every_setpoint_that_leaves_is_within_all_bounds(sequence: list[tuple[Setpoint, float]]) -> None:
     gate, now_s, last = LimitsGate(CONFIG), 100.0, None
     for setpoint, elapsed_s in sequence:
         now_s += elapsed_s

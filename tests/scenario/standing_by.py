@@ -219,13 +219,7 @@ async def _stand_by(
     config = validate(type(flown), merge(flown.model_dump(), ours), "story")
     app_end, vehicle_end = memory_pair()
     tapped = Tapped(app_end)
-    vehicle = InProcess(
-        scenario,
-        0,
-        link=vehicle_end,
-        gps_baud=config.sense.gps.baud,
-        keep_truth=False,
-    )
+    vehicle = InProcess(scenario, 0, link=vehicle_end, gps_baud=config.sense.gps.baud, keep_truth=False)
     hardware = hardware_of(vehicle, tapped, config)
     log = FlightsRecorder(record, lambda: 1.7e9)
 

@@ -28,12 +28,7 @@ from calibration.magnetometer.command import cli as magnetometer_cli
 from calibration.mount.command import cli as mount_cli
 from companion.app.command import EXIT_CODES
 from companion.cli import COMMANDS, cli
-from companion.config import (
-    CONFIG_FOLDER,
-    CompanionConfig,
-    load_config,
-    validate,
-)
+from companion.config import CONFIG_FOLDER, CompanionConfig, load_config, validate
 from companion.config.catalogue import inner_model, settings_of
 from companion.flightlog.result import Result
 from docs import results, settings_table

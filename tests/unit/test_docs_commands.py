@@ -65,11 +65,7 @@ def test_a_command_in_the_prose_is_one_that_would_start(name: str, command: str)
 
 
 def test_the_checks_would_notice() -> None:
-    for wrong in (
-        "companion --wings",
-        "companion-sitl hand-held --settings x.yaml",
-        "companion pad --tilt",
-    ):
+    for wrong in ("companion --wings", "companion-sitl hand-held --settings x.yaml", "companion pad --tilt"):
         with pytest.raises(TyperException):
             check_without_running(shlex.split(wrong))
     for wrong in (

@@ -59,10 +59,7 @@ def settings(folder: Path, content: dict[str, Any] | str) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (
-            [*DESK, "--scenario", "nowhere"],
-            "no 'nowhere'; expected the path of a .yaml file or one of:",
-        ),
+        ([*DESK, "--scenario", "nowhere"], "no 'nowhere'; expected the path of a .yaml file or one of:"),
         ([*DESK, "--seed", "seven"], "'--seed'"),
         ([*DESK, "--seed", "-1"], "'--seed'"),
         ([*DESK, "--wings"], "No such option: --wings"),
@@ -103,10 +100,7 @@ def test_the_command_itself_ends_so(tmp_path: Path) -> None:
     [
         ("control: {rate_hz: [", "settings.yaml:1:21: broken YAML"),
         ("wings: 2", "settings.yaml: unknown key 'wings'"),
-        (
-            "control: {rate_hz: 1000}",
-            "settings.yaml: control.rate_hz: expected less than or equal to 100",
-        ),
+        ("control: {rate_hz: 1000}", "settings.yaml: control.rate_hz: expected less than or equal to 100"),
         ("control: {rate_hz: quick}", "settings.yaml: control.rate_hz: expected a valid number"),
         ("camera: nikon", "cameras: no 'nikon'; expected the path of a .yaml file or one of: "),
         ("pad: lily", "pads: no 'lily'; expected the path of a .yaml file or one of: "),
@@ -126,10 +120,7 @@ def test_a_wrong_setting_is_named_with_its_file_and_key(
     ("changes", "expected"),
     [
         ({"companion": {"plan": {"wings": 2}}}, "line_changed.yaml: companion: unknown key 'plan.wings'"),
-        (
-            {"pad": {"motion": {"speed_m_s": 99}}},
-            "line_changed.yaml: pad.motion.speed_m_s: ",
-        ),
+        ({"pad": {"motion": {"speed_m_s": 99}}}, "line_changed.yaml: pad.motion.speed_m_s: "),
         ({"airframe": "balloon"}, "airframes: no 'balloon'; expected the path of a .yaml file or one of: "),
     ],
 )

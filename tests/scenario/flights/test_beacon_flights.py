@@ -9,10 +9,7 @@ from companion.base.messages import Outcome, Phase
 from companion.config import SearchConfig
 from tests.scenario.flying import FEW_PICTURES, fly_logged, notices, scenario_file
 
-RTK: dict[str, Any] = {
-    "sensors": {"gps_noise_factor": 0.1},
-    "beacon": {"position_std_m": 0.02},
-}
+RTK: dict[str, Any] = {"sensors": {"gps_noise_factor": 0.1}, "beacon": {"position_std_m": 0.02}}
 RTK_SETTINGS = {"gps_position_noise_m": 0.1, "gps_accuracy_factor": 0.03}
 
 

@@ -100,14 +100,7 @@ def test_nothing_is_left_when_the_apps_settings_are_wrong(
 
 def test_the_command_says_in_one_line_that_the_firmware_ended(tmp_path: Path, program: ProgramHere) -> None:
     firmware = fake("ardupilot", tmp_path, ends_after=500)
-    words = [
-        "companion",
-        "--sitl",
-        "--fast",
-        "--no-ui",
-        "--scenario",
-        str(scenario_file(tmp_path)),
-    ]
+    words = ["companion", "--sitl", "--fast", "--no-ui", "--scenario", str(scenario_file(tmp_path))]
     said = program(*words, *options(firmware))
     assert said.code == 1
     assert re.fullmatch(f"companion: {ENDED}\n", said.err)
@@ -115,8 +108,7 @@ def test_the_command_says_in_one_line_that_the_firmware_ended(tmp_path: Path, pr
 
 
 @pytest.mark.parametrize(
-    ("number", "code", "words"),
-    [(signal.SIGINT, 130, "companion: interrupted"), (signal.SIGKILL, -9, "")],
+    ("number", "code", "words"), [(signal.SIGINT, 130, "companion: interrupted"), (signal.SIGKILL, -9, "")]
 )
 def test_whoever_does_not_wait_for_the_boot_leaves_nothing(
     number: signal.Signals, code: int, words: str, tmp_path: Path

@@ -32,15 +32,7 @@ from sitl.external.link import open_link, open_relay
 from sitl.external.session import ExternalConnections, ExternalSimulation
 from sitl.scenario.scenario import Scenario
 from tests.unit.sitl.external.external_bench import Player
-from tests.unit.sitl.external.external_vehicle import (
-    ARDUPILOT,
-    GROUND,
-    LEVEL,
-    PX4,
-    Flight,
-    heartbeat,
-    hop,
-)
+from tests.unit.sitl.external.external_vehicle import ARDUPILOT, GROUND, LEVEL, PX4, Flight, heartbeat, hop
 
 STANDING_M = 0.18
 PAD = (2.0, 1.0)

@@ -17,7 +17,7 @@ import pytest
 from companion.app import hardware
 from companion.app.app import supervised
 from companion.app.hardware import AwaitedBus, AwaitedPort, AwaitedTransport, Hardware, opened_if_there
-from companion.app.sensing import SEARCH_LOOK_S, Sensing
+from companion.app.sensing import SEARCH_LOOK_S, Notify, Sensing
 from companion.base.clock import Clock
 from companion.base.errors import ConfigError, DeviceMissing
 from companion.base.messages import Frame, PadBeacon, PadObservation, PadPrior
@@ -303,19 +303,27 @@ PAD = load_pad("moving_1300")
 LOST_S, FOUND_S = 1.0, 2.5
 
 
+def vision_task(
+    source: Any, samples: RecentSamples, notify: Notify, *, vision: Any = None, **settings: Any
+) -> Sensing:
+    """The app's sensing, of which a test runs the camera's task."""
+    config = CompanionConfig.model_validate(settings)
+    vision = vision or Vision(PAD, CAMERA, VEHICLE, config.sense.vision)
+    return Sensing(
+        config, Hardware(memory_pair()[0], source), vision, samples,
+        clock=Clock(), log=FlightLog(None, start_unix_s=0.0), notify=notify,
+    )  # fmt: skip
+
+
 @in_virtual_time
 async def test_the_pad_is_seen_again_and_people_are_reported_when_the_camera_comes_back() -> None:
     told = list[tuple[float, str, str, str]]()
     samples, problems = RecentSamples(), dict[float, str | None]()
     clock = Clock()
-    sensing = Sensing(
-        CompanionConfig(),
-        Hardware(memory_pair()[0], over_the_pad(unplugged_from_s=LOST_S, until_s=FOUND_S)),
-        Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
+    sensing = vision_task(
+        over_the_pad(unplugged_from_s=LOST_S, until_s=FOUND_S),
         samples,
-        clock=clock,
-        log=FlightLog(None, start_unix_s=0.0),
-        notify=lambda kind, text, severity: told.append((clock.now_s(), kind, text, severity)),
+        lambda kind, text, severity: told.append((clock.now_s(), kind, text, severity)),
     )
     tasks = [asyncio.create_task(run(work)) for work in sensing.tasks().values()]
     for time_s in (0.9, 1.5, 4.5):
@@ -362,20 +370,11 @@ class FrozenPicture:
 
 @in_virtual_time
 async def test_a_picture_that_stands_still_with_new_stamps_is_no_sighting() -> None:
-    told = list[str]()
-    samples = RecentSamples()
-    clock = Clock()
-    sensing = Sensing(
-        CompanionConfig(),
-        Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=1.0)),
-        Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
-        samples,
-        clock=clock,
-        log=FlightLog(None, start_unix_s=0.0),
-        notify=lambda _kind, text, _severity: told.append(text),
-    )
+    told, samples = list[str](), RecentSamples()
+    frozen = FrozenPicture(frozen_from_s=1.0)
+    sensing = vision_task(frozen, samples, lambda _kind, text, _severity: told.append(text))
     task = asyncio.create_task(run(sensing.tasks()["camera"]))
-    await clock.sleep_until(2.0)
+    await Clock().sleep_until(2.0)
     task.cancel()
     times = [sighting.time_s for sighting in samples.sightings]
     assert len(times) > 10
@@ -387,15 +386,7 @@ async def test_a_picture_that_stands_still_with_new_stamps_is_no_sighting() -> N
 async def test_before_take_off_a_look_at_the_pad_now_and_then_is_enough() -> None:
     samples, counts = RecentSamples(), list[int]()
     clock = Clock()
-    sensing = Sensing(
-        CompanionConfig(),
-        Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=math.inf)),
-        Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
-        samples,
-        clock=clock,
-        log=FlightLog(None, start_unix_s=0.0),
-        notify=lambda _kind, _text, _severity: None,
-    )
+    sensing = vision_task(FrozenPicture(frozen_from_s=math.inf), samples, lambda *_: None)
     sensing.on_ground = lambda: clock.now_s() < 2.0
     task = asyncio.create_task(run(sensing.tasks()["camera"]))
     for time_s in (2.0, 4.0):
@@ -499,14 +490,10 @@ class ObservedSamples(RecentSamples):
 @pytest.mark.parametrize(("use", "taken"), [("track", [5.0, 7.0, 8.0, 9.0]), ("search", [])])
 @in_virtual_time
 async def test_each_fix_of_a_beacon_is_taken_once_where_it_is_to_be(use: str, taken: list[float]) -> None:
-    nothing: Any = None
-    camera: Any = SimpleNamespace(next=asyncio.Event().wait)
-    samples = ObservedSamples()
-    config = CompanionConfig.model_validate({"estimate": {"pad": {"beacon": use}}})
-    sensing = Sensing(
-        config, Hardware(memory_pair()[0], camera), nothing, samples,
-        clock=Clock(), log=FlightLog(None, start_unix_s=0.0), notify=lambda *_: None,
-    )  # fmt: skip
+    samples, camera = ObservedSamples(), SimpleNamespace(next=asyncio.Event().wait)
+    sensing = vision_task(
+        camera, samples, lambda *_: None, vision=SimpleNamespace(), estimate={"pad": {"beacon": use}}
+    )
     sensing.take_beacon(None)
     for time_s, fix_s in ((5.0, 100.0), (5.0, 100.0), (6.0, 100.0), (7.0, 102.0), (8.0, 0.0), (9.0, 0.0)):
         sensing.take_beacon(replace(BEACON, time_s=time_s, fix_time_s=fix_s))

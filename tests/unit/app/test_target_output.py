@@ -37,6 +37,11 @@ class Desk:
     ) -> LandingTargetPose | None:
         return self.output.due(vehicle, self._pad_at(now_s), seen.get("sighting"), now_s)
 
+    def sent(self, now_s: float, vehicle: VehicleState | None = VEHICLE, **seen: Any) -> LandingTargetPose:
+        target = self.due(now_s, vehicle, **seen)
+        assert target is not None
+        return target
+
     def take_pose(self, time_s: float) -> None:
         assert self.poses is not None
         self.poses.take_position(time_s, (4.0, 5.0, -6.0))
@@ -51,15 +56,11 @@ def sighting(time_s: float) -> PadSighting:
 
 def test_an_exposure_is_sent_once_with_its_own_time() -> None:
     desk = Desk()
-    target = desk.due(10.08)
-    assert target is not None
-    assert target.time_s == 10.0
-    assert target.position_ned_m is None
+    target = desk.sent(10.08)
+    assert (target.time_s, target.position_ned_m) == (10.0, None)
     assert desk.due(10.11) is None
     desk.pad = pad_state(seen_time_s=10.1)
-    again = desk.due(10.15)
-    assert again is not None
-    assert again.time_s == 10.1
+    assert desk.sent(10.15).time_s == 10.1
 
 
 def test_a_pad_that_is_not_seen_is_silence() -> None:
@@ -87,8 +88,7 @@ def test_what_is_old_is_not_sent_any_more() -> None:
 def test_without_an_estimate_of_the_vehicle_it_is_as_one_frame_shows_it(vehicle: VehicleState | None) -> None:
     desk = Desk()
     assert desk.due(10.1, vehicle) is None
-    target = desk.due(10.1, vehicle, sighting=sighting(10.0))
-    assert target is not None
+    target = desk.sent(10.1, vehicle, sighting=sighting(10.0))
     assert (target.time_s, target.position_body_m) == (10.0, (0.5, -0.25, 4.0))
     assert desk.due(10.13, vehicle, sighting=sighting(10.0)) is None
 
@@ -98,9 +98,7 @@ def test_px4_waits_for_its_own_pose_and_not_for_long() -> None:
     desk.take_pose(9.99)
     assert desk.due(10.05) is None
     desk.take_pose(10.03)
-    target = desk.due(10.08)
-    assert target is not None
-    assert target.position_ned_m == pytest.approx((6.0, 6.0, -1.0))
+    assert desk.sent(10.08).position_ned_m == pytest.approx((6.0, 6.0, -1.0))
     late = Desk("px4")
     late.take_pose(9.99)
     late.take_pose(10.03)
@@ -125,10 +123,9 @@ def test_a_lead_moves_a_pad_that_drives_and_is_off_by_default() -> None:
         desk.pad = driving
         desk.take_pose(9.99)
         desk.take_pose(10.03)
-        target = desk.due(10.1)
-        assert target is not None
-        assert target.position_ned_m is not None
-        places.append(target.position_ned_m[0])
+        position_ned_m = desk.sent(10.1).position_ned_m
+        assert position_ned_m is not None
+        places.append(position_ned_m[0])
     assert places == pytest.approx([6.0, 6.0 + 2.0 * 1.1])
     assert ControlConfig().target_lead_s == 0.0
 

@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from companion.base.encoding import (
-    Encoding,
-    decoding_table,
-    encoding_table,
-    grey_of_light,
-    light_of_greys,
-)
+from companion.base.encoding import Encoding, decoding_table, encoding_table, grey_of_light, light_of_greys
 from companion.config import CameraConfig, ConfigError, find_file, load_model, validate
 
 

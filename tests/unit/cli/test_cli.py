@@ -183,11 +183,7 @@ def test_they_name_the_connections() -> None:
             False,
             "--connect-world: needs --autopilot external",
         ),
-        (
-            options(autopilot="px4"),
-            False,
-            "--autopilot px4: expected external; the bundled one's profile is",
-        ),
+        (options(autopilot="px4"), False, "--autopilot px4: expected external; the bundled one's profile is"),
         (options(connect=None), False, "--autopilot external: expected --connect with where it is"),
         (options(), True, "--fast: expected to be left out"),
         (

@@ -103,14 +103,8 @@ def test_its_words_and_its_json_make_it_again(px4: FirmwareSpec) -> None:
         (["--sitl", "--firmware", "px4"], "--firmware and --firmware-path: expected both, or neither"),
         (["--sitl", "--firmware-path", "BIN"], "--firmware and --firmware-path: expected both, or neither"),
         (["--sitl", "--firmware-param", "A=1"], "--firmware-param: expected it with --firmware and"),
-        (
-            ["--sitl", "--firmware", "px4", "--firmware-path", "nowhere"],
-            "--firmware-path nowhere: expected",
-        ),
-        (
-            [*FLOWN, "--firmware-param", "A"],
-            "--firmware-param A: expected NAME=VALUE",
-        ),
+        (["--sitl", "--firmware", "px4", "--firmware-path", "nowhere"], "--firmware-path nowhere: expected"),
+        ([*FLOWN, "--firmware-param", "A"], "--firmware-param A: expected NAME=VALUE"),
         (
             [*FLOWN, "--autopilot", "external", "--connect", "udpin:127.0.0.1:1"],
             "--firmware: expected to be left out with --autopilot external",

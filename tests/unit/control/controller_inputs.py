@@ -1,6 +1,7 @@
 """A vehicle, a pad and references for the controller's step."""
 
 from dataclasses import replace
+from typing import Any
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
@@ -12,7 +13,16 @@ from companion.base.geometry import (
     side_force,
     subtract,
 )
-from companion.base.messages import PadState, Phase, PlanStep, Reference, VehicleState
+from companion.base.messages import (
+    ControlReport,
+    PadState,
+    Phase,
+    PlanStep,
+    Reference,
+    Setpoint,
+    VehicleState,
+)
+from companion.control.controller import Controller
 from tests.unit.control.control_plants import reference_rows
 
 PERIOD_S = 1.0 / 30.0
@@ -54,7 +64,28 @@ def hover_reference(
     return reference_rows(now_s, lambda _t: place, origin=origin, heading_rad=heading_rad)
 
 
-def plan_step(
-    now_s: float, reference: Reference | None, *, on_ground: bool = False, unloading: float = 0.0
-) -> PlanStep:
-    return PlanStep(now_s, Phase.DESCEND, reference, on_ground=on_ground, unloading=unloading)
+def plan_step(now_s: float, reference: Reference | None, **given: Any) -> PlanStep:
+    return PlanStep(now_s, given.pop("phase", Phase.DESCEND), reference, **given)
+
+
+def answered(
+    fly: Controller,
+    now_s: float = 0.0,
+    *,
+    reference: Reference | None = None,
+    vehicle: VehicleState | None = None,
+    pad: PadState | None = None,
+    seen: bool = True,
+    heard: dict[str, Any] | None = None,
+    **plan: Any,
+) -> tuple[Setpoint, ControlReport]:
+    """What it sends at this time; by default as it hovers 2 m over a pad and shall stay."""
+    answer = fly.step(
+        plan_step(now_s, reference or hover_reference(now_s), **plan),
+        vehicle or vehicle_state(now_s),
+        (pad or pad_state(now_s)) if seen else None,
+        now_s,
+        **(heard or {}),
+    )
+    assert answer is not None
+    return answer

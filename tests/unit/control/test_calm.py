@@ -29,10 +29,7 @@ from tests.unit.control.control_vehicles import SwayingAutopilot
 
 LINK_S = 0.01  # what the simulator's link and loops take; the settings assume more
 # outer gains (north, east, down) and integral gains, as PX4's and ArduPilot's parameters have them
-AUTOPILOT_KINDS = {
-    "px4": ((1.8, 1.8, 4.0), (0.5, 0.5, 2.0)),
-    "ardupilot": ((2.0, 2.0, 5.0), (1.0, 1.0, 2.0)),
-}
+AUTOPILOT_KINDS = {"px4": ((1.8, 1.8, 4.0), (0.5, 0.5, 2.0)), "ardupilot": ((2.0, 2.0, 5.0), (1.0, 1.0, 2.0))}
 
 
 def _nudged(time_s: float) -> Motion3:

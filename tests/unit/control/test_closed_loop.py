@@ -38,8 +38,7 @@ def _gusts(time_s: float) -> Vector3:
 
 
 @pytest.mark.parametrize(
-    ("pad", "bound_m"),
-    [(still, 0.025), (line, 0.025), (circle, 0.04), (figure_eight, 0.055), (heave, 0.025)],
+    ("pad", "bound_m"), [(still, 0.025), (line, 0.025), (circle, 0.04), (figure_eight, 0.055), (heave, 0.025)]
 )
 @pytest.mark.parametrize("kind", ["velocity", "acceleration"])
 def test_they_stay_over_the_pad_despite_biased_velocity(kind: str, pad: PadMotion, bound_m: float) -> None:

@@ -7,6 +7,7 @@ from itertools import count
 import numpy as np
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
@@ -17,11 +18,7 @@ from companion.base.geometry import (
     tilt_from_quat,
     yaw_from_quat,
 )
-from companion.base.messages import (
-    LinkHealth,
-    Phase,
-    Setpoint,
-)
+from companion.base.messages import LinkHealth, Phase, Setpoint
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
 from companion.control.controller import Controller
@@ -29,6 +26,7 @@ from companion.control.solver_health import FAILURES_TO_STOP
 from tests.unit.control.control_plants import controller, reference_rows, vehicle_config
 from tests.unit.control.controller_inputs import (
     PERIOD_S,
+    answered,
     hover_reference,
     pad_state,
     plan_step,
@@ -41,9 +39,7 @@ def test_without_a_reference_nothing_leaves() -> None:
 
 
 def test_straight_above_the_pad_it_stays() -> None:
-    answer = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0), pad_state(0.0), 0.0)
-    assert answer is not None
-    setpoint, report = answer
+    setpoint, report = answered(controller())
     assert report.solved
     assert setpoint.velocity_ned_m_s == pytest.approx(ZERO3, abs=2e-3)
     assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3, abs=2e-2)
@@ -51,37 +47,25 @@ def test_straight_above_the_pad_it_stays() -> None:
 
 def test_thrust_that_the_feet_are_to_carry_is_taken_away() -> None:
     full, less = (
-        controller(setpoint="attitude").step(
-            plan_step(0.0, hover_reference(0.0), unloading=share), vehicle_state(0.0), pad_state(0.0), 0.0
-        )
-        for share in (0.0, 0.4)
+        answered(controller(setpoint="attitude"), unloading=share)[0].thrust for share in (0.0, 0.4)
     )
     assert full is not None
-    assert less is not None
-    assert full[0].thrust is not None
-    assert less[0].thrust == pytest.approx(0.6 * full[0].thrust)
+    assert less == pytest.approx(0.6 * full)
 
 
 def test_to_an_autopilot_that_chooses_the_thrust_it_is_an_acceleration_downwards() -> None:
-    plan = plan_step(0.0, hover_reference(0.0), unloading=0.2)
-    answer = controller(setpoint="velocity").step(plan, vehicle_state(0.0), pad_state(0.0), 0.0)
-    assert answer is not None
-    assert answer[0].acceleration_ned_m_s2[2] == pytest.approx(0.2 * GRAVITY_M_S2, abs=0.05)
+    setpoint, _ = answered(controller(setpoint="velocity"), unloading=0.2)
+    assert setpoint.acceleration_ned_m_s2[2] == pytest.approx(0.2 * GRAVITY_M_S2, abs=0.05)
 
 
 def test_thrust_that_was_taken_away_comes_back_at_once() -> None:
-    flown = {}
+    flown = []
     for share in (0.0, 0.3):
         fly = controller(setpoint="attitude")
         for k in range(8):
-            now = k * PERIOD_S
-            plan = plan_step(now, hover_reference(now), unloading=share if 2 <= k < 7 else 0.0)
-            answer = fly.step(plan, vehicle_state(now), pad_state(now), now)
-        assert answer is not None
-        thrust = answer[0].thrust
-        assert thrust is not None
-        flown[share] = thrust
-    assert flown[0.3] > 0.99 * flown[0.0]  # what it has begun to fall by is met as well
+            setpoint, _ = answered(fly, k * PERIOD_S, unloading=share if 2 <= k < 7 else 0.0)
+        flown.append(setpoint.thrust or 0.0)
+    assert flown[1] > 0.99 * flown[0] > 0.0  # what it has begun to fall by is met as well
 
 
 @pytest.mark.parametrize("direction_deg", [0.0, 90.0, 180.0, 270.0])
@@ -93,11 +77,9 @@ def test_it_sets_out_towards_the_pad_whichever_way_the_vehicle_looks(direction_d
     for k in range(5):
         now = k * PERIOD_S
         vehicle = vehicle_state(now, attitude=quat_from_euler(0.0, 0.0, 1.0))
-        answer = fly.step(
-            plan_step(now, hover_reference(now, heading_rad=1.0)), vehicle, pad_state(now, towards), now
-        )
-    assert answer is not None
-    acceleration = answer[0].acceleration_ned_m_s2
+        reference = hover_reference(now, heading_rad=1.0)
+        setpoint, _ = answered(fly, now, reference=reference, vehicle=vehicle, pad=pad_state(now, towards))
+    acceleration = setpoint.acceleration_ned_m_s2
     assert (
         math.atan2(acceleration[1], acceleration[0])
         == pytest.approx(math.remainder(angle, math.tau), abs=0.1)
@@ -110,104 +92,73 @@ def test_a_pad_that_moves_is_followed_at_its_speed_at_once() -> None:
     # on station over the pad, and as fast as the pad
     pad = replace(pad_state(0.0, velocity=(1.5, -0.5, 0.0)), relative_velocity_ned_m_s=ZERO3)
     vehicle = vehicle_state(0.0, velocity_ned_m_s=(1.5, -0.5, 0.0))
-    answer = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle, pad, 0.0)
-    assert answer is not None
-    assert answer[0].velocity_ned_m_s == pytest.approx((1.5, -0.5, 0.0), abs=0.01)
+    setpoint, _ = answered(controller(), vehicle=vehicle, pad=pad)
+    assert setpoint.velocity_ned_m_s == pytest.approx((1.5, -0.5, 0.0), abs=0.01)
 
 
 def test_setpoints_by_the_pad_tell_the_exposure_and_local_ones_do_not() -> None:
-    by_pad = controller().step(plan_step(1.0, hover_reference(1.0)), vehicle_state(1.0), pad_state(1.0), 1.0)
-    local = controller().step(
-        plan_step(1.0, hover_reference(1.0, "local")), vehicle_state(1.0), pad_state(1.0), 1.0
-    )
-    assert by_pad is not None
-    assert local is not None
-    assert by_pad[0].exposure_time_s == pytest.approx(0.93)
-    assert local[0].exposure_time_s is None
+    by_pad, _ = answered(controller(), 1.0)
+    local, _ = answered(controller(), 1.0, reference=hover_reference(1.0, "local"))
+    assert by_pad.exposure_time_s == pytest.approx(0.93)
+    assert local.exposure_time_s is None
 
 
 def test_local_references_go_by_the_vehicles_own_position() -> None:
     place = ((10.0, -4.0, -7.0), ZERO3, ZERO3)
     reference = reference_rows(0.0, lambda _t: place, origin="local")
-    answer = controller().step(plan_step(0.0, reference), vehicle_state(0.0), None, 0.0)
-    assert answer is not None
-    assert answer[0].velocity_ned_m_s == pytest.approx(ZERO3, abs=2e-3)
-    np.testing.assert_allclose(answer[1].predicted_position_m[-1], (10.0, -4.0, -7.0), atol=5e-3)
+    setpoint, report = answered(controller(), reference=reference, seen=False)
+    assert setpoint.velocity_ned_m_s == pytest.approx(ZERO3, abs=2e-3)
+    np.testing.assert_allclose(report.predicted_position_m[-1], (10.0, -4.0, -7.0), atol=5e-3)
 
 
 def test_on_the_ground_it_goes_along_with_the_pad_and_presses_down() -> None:
     pad = pad_state(0.0, (0.0, 0.0, 0.18), (1.0, 0.5, 0.2))
-    answer = controller().step(
-        plan_step(0.0, hover_reference(0.0), on_ground=True), vehicle_state(0.0), pad, 0.0
-    )
-    assert answer is not None
-    assert answer[0].velocity_ned_m_s == (1.0, 0.5, ControlConfig().ground_descent_m_s)
-    assert answer[0].acceleration_ned_m_s2[2] >= 0.0
-    assert answer[0].attitude is None
-    without = controller().step(
-        plan_step(0.0, hover_reference(0.0), on_ground=True), vehicle_state(0.0), None, 0.0
-    )
-    assert without is not None
-    assert without[0].velocity_ned_m_s == (0.0, 0.0, ControlConfig().ground_descent_m_s)
+    setpoint, _ = answered(controller(), pad=pad, on_ground=True)
+    assert setpoint.velocity_ned_m_s == (1.0, 0.5, ControlConfig().ground_descent_m_s)
+    assert setpoint.acceleration_ned_m_s2[2] >= 0.0
+    assert setpoint.attitude is None
+    without, _ = answered(controller(), seen=False, on_ground=True)
+    assert without.velocity_ned_m_s == (0.0, 0.0, ControlConfig().ground_descent_m_s)
 
 
 def test_on_the_ground_by_attitude_it_is_level_without_thrust() -> None:
-    fly = controller(setpoint="attitude")
-    answer = fly.step(
-        plan_step(0.0, hover_reference(0.0), on_ground=True), vehicle_state(0.0), pad_state(0.0), 0.0
-    )
-    assert answer is not None
-    assert answer[0].attitude is not None
-    assert tilt_from_quat(answer[0].attitude) == pytest.approx(0.0, abs=1e-9)
-    assert answer[0].thrust == 0.0  # which the gate's least thrust does not forbid here
-    assert answer[1].limited == ()
+    setpoint, report = answered(controller(setpoint="attitude"), on_ground=True)
+    assert setpoint.attitude is not None
+    assert tilt_from_quat(setpoint.attitude) == pytest.approx(0.0, abs=1e-9)
+    assert setpoint.thrust == 0.0  # which the gate's least thrust does not forbid here
+    assert report.limited == ()
 
 
 def test_taking_off_from_the_ground_again_begins_without_old_commands() -> None:
     fly = controller()
     for k in range(10):
-        now = k * PERIOD_S
-        fly.step(
-            plan_step(now, hover_reference(now), on_ground=True), vehicle_state(now), pad_state(now), now
-        )
-    now = 10 * PERIOD_S
-    answer = fly.step(plan_step(now, hover_reference(now)), vehicle_state(now), pad_state(now), now)
-    assert answer is not None
-    assert answer[1].solved
-    assert answer[1].disturbance_ned_m_s2 == ZERO3
+        answered(fly, k * PERIOD_S, on_ground=True)
+    _, report = answered(fly, 10 * PERIOD_S)
+    assert (report.solved, report.disturbance_ned_m_s2) == (True, ZERO3)
 
 
 def test_the_heading_turns_at_the_allowed_rate_from_where_the_vehicle_looks() -> None:
-    fly = controller()
-    start = 0.8
+    fly, start = controller(), 0.8
     for k in range(16):
         now = k * PERIOD_S
         vehicle = vehicle_state(now, attitude=quat_from_euler(0.1, -0.05, start))
-        answer = fly.step(plan_step(now, hover_reference(now, heading_rad=3.0)), vehicle, pad_state(now), now)
-        assert answer is not None
-        assert answer[0].heading_rad == pytest.approx(start + math.radians(90.0) * now)
-    assert answer is not None
-    assert 0.3 < answer[0].heading_rate_rad_s <= math.radians(90.0)
+        setpoint, _ = answered(fly, now, reference=hover_reference(now, heading_rad=3.0), vehicle=vehicle)
+        assert setpoint.heading_rad == pytest.approx(start + math.radians(90.0) * now)
+    assert 0.3 < setpoint.heading_rate_rad_s <= math.radians(90.0)
 
 
 def test_by_attitude_the_heading_is_in_the_attitude() -> None:
-    fly = controller(setpoint="attitude")
     vehicle = vehicle_state(0.0, attitude=quat_from_euler(0.0, 0.0, 2.0))
-    answer = fly.step(plan_step(0.0, hover_reference(0.0, heading_rad=2.0)), vehicle, pad_state(0.0), 0.0)
-    assert answer is not None
-    assert answer[0].attitude is not None
-    assert yaw_from_quat(answer[0].attitude) == pytest.approx(2.0)
+    reference = hover_reference(0.0, heading_rad=2.0)
+    setpoint, _ = answered(controller(setpoint="attitude"), reference=reference, vehicle=vehicle)
+    assert setpoint.attitude is not None
+    assert yaw_from_quat(setpoint.attitude) == pytest.approx(2.0)
 
 
 def test_taking_over_in_wind_by_attitude_keeps_the_tilt() -> None:
-    fly = controller(setpoint="attitude")
     tilt = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
-    answer = fly.step(
-        plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0, attitude=tilt), pad_state(0.0), 0.0
-    )
-    assert answer is not None
-    assert answer[0].attitude is not None
-    assert answer[0].attitude == pytest.approx(tilt, abs=5e-3)
+    setpoint, _ = answered(controller(setpoint="attitude"), vehicle=vehicle_state(0.0, attitude=tilt))
+    assert setpoint.attitude == pytest.approx(tilt, abs=5e-3)
 
 
 def test_an_older_estimate_is_carried_forward() -> None:
@@ -215,27 +166,21 @@ def test_an_older_estimate_is_carried_forward() -> None:
     old = replace(pad_state(0.0, (0.1, 0.0, 2.0)), relative_velocity_ned_m_s=(-1.0, 0.0, 0.0), time_s=-0.1)
     new = replace(pad_state(0.0, (0.0, 0.0, 2.0)), relative_velocity_ned_m_s=(-1.0, 0.0, 0.0))
     vehicle = vehicle_state(0.0, velocity_ned_m_s=(1.0, 0.0, 0.0))
-    by_old = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle, old, 0.0)
-    by_new = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle, new, 0.0)
-    assert by_old is not None
-    assert by_new is not None
-    assert by_old[0].velocity_ned_m_s == pytest.approx(by_new[0].velocity_ned_m_s, abs=1e-3)
+    by_old, by_new = (answered(controller(), vehicle=vehicle, pad=pad)[0] for pad in (old, new))
+    assert by_old.velocity_ned_m_s == pytest.approx(by_new.velocity_ned_m_s, abs=1e-3)
 
 
-def test_by_attitude_ardupilot_gets_the_upward_part_alone_since_it_raises_it_itself() -> None:
+@pytest.mark.parametrize(
+    ("autopilot_kind", "thrust"), [("px4", 0.5 / math.cos(0.4)), ("ardupilot", 0.5)], ids=["px4", "ardupilot"]
+)
+def test_by_attitude_ardupilot_gets_the_upward_part_alone_since_it_raises_it_itself(
+    autopilot_kind: AutopilotKind, thrust: float
+) -> None:
     vehicle = vehicle_state(0.0, attitude=quat_from_euler(0.0, -0.4, 0.0))
     stay = reference_rows(0.0, lambda _t: (vehicle.position_ned_m, ZERO3, ZERO3), origin="local")
-    thrust: dict[str, float] = {}
-    for autopilot_kind in ("px4", "ardupilot"):
-        flown = Controller(
-            ControlConfig(setpoint="attitude"), vehicle_config(), autopilot_kind=autopilot_kind
-        )
-        step = flown.step(plan_step(0.0, stay), vehicle, None, 0.0)
-        assert step is not None
-        assert step[0].thrust is not None
-        thrust[autopilot_kind] = step[0].thrust
-    assert thrust["ardupilot"] == pytest.approx(0.5, abs=0.005)
-    assert thrust["px4"] == pytest.approx(0.5 / math.cos(0.4), abs=0.01)
+    fly = Controller(ControlConfig(setpoint="attitude"), vehicle_config(), autopilot_kind=autopilot_kind)
+    setpoint, _ = answered(fly, reference=stay, vehicle=vehicle, seen=False)
+    assert setpoint.thrust == pytest.approx(thrust, abs=0.005)
 
 
 # ----------------
@@ -249,9 +194,7 @@ def test_a_reference_by_the_pad_without_a_pad_is_a_stop() -> None:
         vehicle = vehicle_state(
             now, velocity_ned_m_s=(speed, 0.0, 0.0), acceleration_ned_m_s2=(flown, 0.0, 0.0)
         )
-        answer = fly.step(plan_step(now, hover_reference(now)), vehicle, None, now)
-        assert answer is not None
-        setpoint = answer[0]
+        setpoint, _ = answered(fly, now, vehicle=vehicle, seen=False)
         assert setpoint.exposure_time_s is None
         # an autopilot's velocity loop, and the lag of tilting
         wanted = setpoint.acceleration_ned_m_s2[0] + 2.5 * (setpoint.velocity_ned_m_s[0] - speed)
@@ -271,34 +214,22 @@ def test_an_estimate_that_is_no_number_ends_in_a_hold_and_is_survived(kind: str)
         bad = 10 <= k < 20
         vehicle = replace(broken if bad else vehicle_state(now), time_s=now)
         pad = replace(lost if bad else pad_state(now), time_s=now)
-        answer = fly.step(plan_step(now, hover_reference(now)), vehicle, pad, now)
-        assert answer is not None
-        assert _all_finite(answer[0])
-        assert answer[1].solved is not bad
-    assert answer is not None
-    assert np.linalg.norm(answer[0].velocity_ned_m_s) < 0.05
+        setpoint, report = answered(fly, now, vehicle=vehicle, pad=pad)
+        assert _all_finite(setpoint)
+        assert report.solved is not bad
+    assert norm(setpoint.velocity_ned_m_s) < 0.05
 
 
 def test_after_a_pause_all_begins_anew() -> None:
-    fly, fresh = controller(), controller()
+    fly = controller()
     for k in range(20):
-        now = k * PERIOD_S
-        fly.step(
-            plan_step(now, hover_reference(now)), vehicle_state(now), pad_state(now, (1.0, 0.0, 3.0)), now
-        )
-    later = 60.0
-    arguments = (
-        plan_step(later, hover_reference(later)),
-        vehicle_state(later),
-        pad_state(later, (0.3, 0.0, 2.0)),
-        later,
+        answered(fly, k * PERIOD_S, pad=pad_state(k * PERIOD_S, (1.0, 0.0, 3.0)))
+    (again, later), (first, fresh) = (
+        answered(each, 60.0, pad=pad_state(60.0, (0.3, 0.0, 2.0))) for each in (fly, controller())
     )
-    again, first = fly.step(*arguments), fresh.step(*arguments)
-    assert again is not None
-    assert first is not None
-    assert again[0].velocity_ned_m_s == pytest.approx(first[0].velocity_ned_m_s, abs=1e-4)
-    assert again[0].acceleration_ned_m_s2 == pytest.approx(first[0].acceleration_ned_m_s2, abs=1e-3)
-    assert again[1].disturbance_ned_m_s2 == first[1].disturbance_ned_m_s2 == ZERO3
+    assert again.velocity_ned_m_s == pytest.approx(first.velocity_ned_m_s, abs=1e-4)
+    assert again.acceleration_ned_m_s2 == pytest.approx(first.acceleration_ned_m_s2, abs=1e-3)
+    assert later.disturbance_ned_m_s2 == fresh.disturbance_ned_m_s2 == ZERO3
 
 
 @pytest.mark.parametrize("kind", ["velocity", "attitude"])
@@ -310,9 +241,7 @@ def test_without_the_imu_it_is_reported_not_to_accelerate_until_samples_come_aga
         now = k * PERIOD_S
         silent = silent_from <= k < silent_to
         vehicle = vehicle_state(now, velocity_ned_m_s=drifting, imu_age_s=0.12 if silent else 0.004)
-        answer = fly.step(plan_step(now, hover_reference(now)), vehicle, pad_state(now, (3.0, 0.0, 2.0)), now)
-        assert answer is not None
-        setpoint, report = answer
+        setpoint, report = answered(fly, now, vehicle=vehicle, pad=pad_state(now, (3.0, 0.0, 2.0)))
         assert report.blind is silent
         if k != silent_to - 1:  # the limits let it come down from what was commanded before
             continue
@@ -329,12 +258,10 @@ def test_without_the_imu_px4_keeps_the_tilt_and_goes_on_down_where_contact_is_ne
     for phase, sink_m_s in ((Phase.DESCEND, 0.0), (Phase.TOUCHDOWN, 0.4)):  # as firmly as it ever sinks
         for k in range(10):
             now = k * PERIOD_S
-            plan = replace(plan_step(now, replace(sinking, time_s=now)), phase=phase)
             vehicle = vehicle_state(now, velocity_ned_m_s=(1.0, 0.0, 0.2), imu_age_s=0.2)
             pad = pad_state(now, velocity=(1.0, 0.0, 0.1))  # it sinks itself: the reference counts from it
-            answer = fly.step(plan, vehicle, pad, now)
-        assert answer is not None
-        setpoint = answer[0]
+            reference = replace(sinking, time_s=now)
+            setpoint, _ = answered(fly, now, reference=reference, vehicle=vehicle, pad=pad, phase=phase)
         # its velocity loop, whose integral is from another wind, stays passed by
         assert not setpoint.holds_horizontal_velocity
         assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3, abs=1e-9)
@@ -349,12 +276,12 @@ def test_without_the_imu_it_turns_with_the_pad_that_it_sinks_onto(kind: str) -> 
     for reference, acceleration in ((level, ZERO3), (sinking, (0.0, -0.45, 0.0))):
         for k in range(40):  # the limits let it turn only so fast
             now = k * PERIOD_S
-            plan = replace(plan_step(now, replace(reference, time_s=now)), phase=Phase.TOUCHDOWN)
+            flown = replace(reference, time_s=now)
             vehicle = vehicle_state(now, velocity_ned_m_s=(1.4, 0.1, 0.2), imu_age_s=0.2)
             pad = replace(pad_state(now, velocity=(1.5, 0.0, 0.0)), acceleration_ned_m_s2=(0.0, -0.45, 0.3))
-            answer = fly.step(plan, vehicle, pad, now)
-        assert answer is not None
-        setpoint, followed = answer[0], acceleration != ZERO3
+            phase = Phase.TOUCHDOWN
+            setpoint, _ = answered(fly, now, reference=flown, vehicle=vehicle, pad=pad, phase=phase)
+        followed = acceleration != ZERO3
         assert setpoint.velocity_ned_m_s[:2] == pytest.approx((1.5, 0.0) if followed else (1.4, 0.1))
         assert setpoint.attitude is None
         assert setpoint.acceleration_ned_m_s2 == pytest.approx(acceleration, abs=1e-9)
@@ -363,13 +290,12 @@ def test_without_the_imu_it_turns_with_the_pad_that_it_sinks_onto(kind: str) -> 
 
 def test_without_the_imu_it_stays_with_a_pad_that_rises() -> None:
     fly, reference = controller(setpoint="acceleration"), hover_reference(0.0)
+    vehicle = vehicle_state(0.0, imu_age_s=0.2)
     sinking = replace(reference, velocity_m_s=np.full_like(reference.velocity_m_s, 0.2))
     pad = replace(pad_state(0.0, velocity=(1.5, 0.0, -0.5)), acceleration_ned_m_s2=(0.0, -0.4, 0.0))
-    plan = replace(plan_step(0.0, sinking), phase=Phase.TOUCHDOWN)
-    answer = fly.step(plan, vehicle_state(0.0, imu_age_s=0.2), pad, 0.0)
-    assert answer is not None
-    assert answer[0].velocity_ned_m_s == pytest.approx((1.5, 0.0, -0.2))
-    assert answer[0].acceleration_ned_m_s2[1] == pytest.approx(-0.4)
+    setpoint, _ = answered(fly, reference=sinking, vehicle=vehicle, pad=pad, phase=Phase.TOUCHDOWN)
+    assert setpoint.velocity_ned_m_s == pytest.approx((1.5, 0.0, -0.2))
+    assert setpoint.acceleration_ned_m_s2[1] == pytest.approx(-0.4)
 
 
 def test_without_an_estimate_only_what_presses_it_onto_the_pad_is_sent() -> None:
@@ -386,27 +312,18 @@ def test_without_the_imu_it_goes_on_tilting_against_the_wind() -> None:
     tilt = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
     for k in range(90):
         now = k * PERIOD_S
-        fly.step(plan_step(now, hover_reference(now)), vehicle_state(now, attitude=tilt), pad_state(now), now)
+        answered(fly, now, vehicle=vehicle_state(now, attitude=tilt))
     for _ in range(15):
         now += PERIOD_S
-        blind = vehicle_state(now, attitude=tilt, imu_age_s=0.2)
-        answer = fly.step(plan_step(now, hover_reference(now)), blind, pad_state(now), now)
-    assert answer is not None
-    setpoint, report = answer
+        setpoint, report = answered(fly, now, vehicle=vehicle_state(now, attitude=tilt, imu_age_s=0.2))
     assert report.blind
     assert attitude_from_acceleration(setpoint.acceleration_ned_m_s2, 0.0) == pytest.approx(tilt, abs=0.02)
 
 
 def test_a_stopwatch_times_the_solve_and_none_is_needed() -> None:
     ticks = count(1.0, 0.25)  # read before and after; at rest nothing has to be searched for
-    timed = controller(lambda: next(ticks)).step(
-        plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0), pad_state(0.0), 0.0
-    )
-    untimed = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0), pad_state(0.0), 0.0)
-    assert timed is not None
-    assert untimed is not None
-    assert timed[1].solve_s == pytest.approx(0.25)
-    assert untimed[1].solve_s == 0.0
+    assert answered(controller(lambda: next(ticks)))[1].solve_s == pytest.approx(0.25)
+    assert answered(controller())[1].solve_s == 0.0
 
 
 def _all_finite(setpoint: Setpoint) -> bool:
@@ -419,26 +336,23 @@ def _all_finite(setpoint: Setpoint) -> bool:
 def test_a_solver_that_is_always_too_late_is_flown_by_its_last_plan_and_then_stopped(kind: str) -> None:
     seconds, slow = count(0.0, 1.0), [False]
     fly = controller(lambda: next(seconds) if slow[0] else 0.0, setpoint=kind)
-    reports, setpoints = [], []
+    reports = []
     for k in range(6 + FAILURES_TO_STOP):
         now_s = k * PERIOD_S
         slow[0] = k >= 5
         # what no solver settles in one slice: a reference that jumps, from beyond the limits
         wild = reference_rows(now_s, _jumping) if slow[0] else hover_reference(now_s)
         speed = (7.0 * (-1.0) ** k, 3.0, 2.0) if slow[0] else ZERO3
-        answer = fly.step(
-            plan_step(now_s, wild), vehicle_state(now_s, velocity_ned_m_s=speed), pad_state(now_s), now_s
-        )
-        assert answer is not None
-        setpoints.append(answer[0])
-        reports.append(answer[1])
+        vehicle = vehicle_state(now_s, velocity_ned_m_s=speed)
+        setpoint, report = answered(fly, now_s, reference=wild, vehicle=vehicle)
+        reports.append(report)
     assert all(report.solved and not report.late for report in reports[:5])
     assert not any(report.solved for report in reports[5:])
     assert [report.stopped for report in reports] == [False] * (4 + FAILURES_TO_STOP) + [True] * 2
-    assert setpoints[-1].velocity_ned_m_s == ZERO3
+    assert setpoint.velocity_ned_m_s == ZERO3
     # by attitude as well: only the autopilot's own loops stop what no plan flies
-    assert (setpoints[-1].attitude, setpoints[-1].thrust) == (None, None)
-    assert setpoints[-1].holds_horizontal_velocity
+    assert (setpoint.attitude, setpoint.thrust) == (None, None)
+    assert setpoint.holds_horizontal_velocity
 
 
 def _jumping(time_s: float) -> tuple[Vector3, Vector3, Vector3]:
@@ -452,10 +366,9 @@ def test_what_was_no_number_at_the_very_first_is_survived_too() -> None:
         vehicle = (
             vehicle_state(now, acceleration_ned_m_s2=(math.nan, 0.0, 0.0)) if k < 5 else vehicle_state(now)
         )
-        answer = fly.step(plan_step(now, hover_reference(now)), vehicle, pad_state(now), now)
-        assert answer is not None
-        assert not answer[1].stopped
-        assert _all_finite(answer[0])
+        setpoint, report = answered(fly, now, vehicle=vehicle)
+        assert not report.stopped
+        assert _all_finite(setpoint)
 
 
 @pytest.mark.parametrize("kind", ["acceleration", "attitude"])
@@ -464,16 +377,10 @@ def test_taking_over_keeps_the_tilt_however_long_the_setpoints_were_not_obeyed(k
     tilting = attitude_from_acceleration((1.5, -0.8, 0.0), 0.0)
     for k in range(40):
         now, obeyed = k * PERIOD_S, k >= 30
-        answer = fly.step(
-            plan_step(now, hover_reference(now)),
-            vehicle_state(now, attitude=tilting),
-            pad_state(now),
-            now,
-            obeyed=obeyed,
-        )
-        assert answer is not None
-        assert answer[0].acceleration_ned_m_s2 == pytest.approx((1.5, -0.8, 0.0), abs=0.05)
-        assert answer[1].obeyed is obeyed
+        vehicle = vehicle_state(now, attitude=tilting)
+        setpoint, report = answered(fly, now, vehicle=vehicle, heard={"obeyed": obeyed})
+        assert setpoint.acceleration_ned_m_s2 == pytest.approx((1.5, -0.8, 0.0), abs=0.05)
+        assert report.obeyed is obeyed
 
 
 @pytest.mark.parametrize("kind", ["acceleration", "attitude"])
@@ -485,11 +392,8 @@ def test_an_autopilot_that_is_not_heard_may_obey_and_its_setpoints_stay_within_t
     for k in range(90):
         now, silent_s = k * PERIOD_S, k * PERIOD_S if k < 60 else 0.0
         vehicle = vehicle_state(now, attitude=tilting)
-        answer = fly.step(
-            plan_step(now, hover_reference(now)), vehicle, pad_state(now), now, link=LinkHealth(silent_s)
-        )
-        assert answer is not None
-        asked = answer[0].acceleration_ned_m_s2
+        setpoint, _ = answered(fly, now, vehicle=vehicle, heard={"link": LinkHealth(silent_s)})
+        asked = setpoint.acceleration_ned_m_s2
         if last is not None:
             assert norm(subtract(asked, last)) <= 1.01 * limits.jerk_m_s3 * PERIOD_S
         last = asked
@@ -501,10 +405,8 @@ def test_what_a_silent_autopilot_does_not_do_is_no_disturbance(kind: str) -> Non
     heeded, believed = controller(setpoint=kind), controller(setpoint=kind)
     for k in range(150):
         now = k * PERIOD_S
-        step = plan_step(now, hover_reference(now)), vehicle_state(now), pad_state(now, (3.0, 0.0, 3.0)), now
-        silent_s = now - 0.3 if 0.3 <= now < 4.9 else 0.0
-        unheard, heard = heeded.step(*step, link=LinkHealth(silent_s)), believed.step(*step)
-    assert unheard is not None
-    assert heard is not None
-    assert norm(heard[1].disturbance_ned_m_s2) > 1.0
-    assert norm(unheard[1].disturbance_ned_m_s2) < 0.2
+        pad, silent_s = pad_state(now, (3.0, 0.0, 3.0)), now - 0.3 if 0.3 <= now < 4.9 else 0.0
+        _, unheard = answered(heeded, now, pad=pad, heard={"link": LinkHealth(silent_s)})
+        _, heard = answered(believed, now, pad=pad)
+    assert norm(heard.disturbance_ned_m_s2) > 1.0
+    assert norm(unheard.disturbance_ned_m_s2) < 0.2

@@ -211,8 +211,7 @@ BAD = [math.nan, math.inf, -math.inf]
 
 @pytest.mark.parametrize("bad", BAD)
 @pytest.mark.parametrize(
-    "field",
-    ["velocity_ned_m_s", "acceleration_ned_m_s2", "heading_rad", "heading_rate_rad_s"],
+    "field", ["velocity_ned_m_s", "acceleration_ned_m_s2", "heading_rad", "heading_rate_rad_s"]
 )
 def test_anything_not_finite_is_a_hold_at_the_last_heading(bad: float, field: str) -> None:
     gate = _gate()

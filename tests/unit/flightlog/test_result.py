@@ -56,21 +56,8 @@ def vehicle_at(time_s: float, attitude_error_rad: float, velocity_error: float) 
     truth = truth_at(time_s)
     q = quat_from_euler(0.05, -0.02, 0.1 * time_s + attitude_error_rad)
     north, east, down = truth.vehicle_velocity_ned_m_s
-    return VehicleState(
-        time_s,
-        q,
-        ZERO3,
-        ZERO3,
-        (north, east + velocity_error, down),
-        ZERO3,
-        ZERO3,
-        ZERO3,
-        0,
-        0,
-        0,
-        True,
-        True,
-    )
+    velocity = (north, east + velocity_error, down)
+    return VehicleState(time_s, q, ZERO3, ZERO3, velocity, ZERO3, ZERO3, ZERO3, 0, 0, 0, True, True)
 
 
 def pad_at(time_s: float, velocity_error: float) -> PadState:
@@ -105,22 +92,13 @@ def made_up_flight() -> tuple[dict[str, list[Any]], list[Truth]]:
 def result() -> Result:
     kept, truth = made_up_flight()
     touchdown = {
-        "lateral_error_m": 0.031,
-        "vertical_speed_m_s": 0.21,
-        "horizontal_speed_m_s": 0.05,
-        "tilt_deg": 1.2,
-        "yaw_error_deg": -2.0,
-    }
+        "lateral_error_m": 0.031, "vertical_speed_m_s": 0.21, "horizontal_speed_m_s": 0.05,
+        "tilt_deg": 1.2, "yaw_error_deg": -2.0,
+    }  # fmt: skip
     return build_result(
-        scenario="made_up",
-        seed=3,
-        outcome=Outcome.LANDED,
-        touchdown=touchdown,
-        pad_speed_m_s=1.0,
-        kept=kept,
-        truth=truth,
-        real_time_factor=4.0,
-    )
+        scenario="made_up", seed=3, outcome=Outcome.LANDED, touchdown=touchdown, pad_speed_m_s=1.0,
+        kept=kept, truth=truth, real_time_factor=4.0,
+    )  # fmt: skip
 
 
 def test_the_errors_put_in_come_out() -> None:
@@ -172,15 +150,9 @@ def test_the_contract_has_its_keys_and_survives_json() -> None:
 def test_a_flight_that_never_saw_the_pad_still_has_a_result() -> None:
     _, truth = made_up_flight()
     told = build_result(
-        scenario="blind",
-        seed=0,
-        outcome=Outcome.TIMEOUT,
-        touchdown=None,
-        pad_speed_m_s=0.0,
-        kept={},
-        truth=truth,
-        real_time_factor=1.0,
-    )
+        scenario="blind", seed=0, outcome=Outcome.TIMEOUT, touchdown=None, pad_speed_m_s=0.0,
+        kept={}, truth=truth, real_time_factor=1.0,
+    )  # fmt: skip
     assert told.touchdown is None
     assert told.vision.frames == 0
     assert told.estimate.velocity_rmse_m_s is None

@@ -1,5 +1,6 @@
 """Whose FOLLOW_TARGET is the pad's: an answer to our request, or of the component that the settings name."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from tests.unit.link.ground_beacon import follow_target
 BEACON = PadBeacon(0.0, 47.0, 8.0, 401.0, (1.0, 0.0, 0.0), 1.0)
 ACCEPTED, UNSUPPORTED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_UNSUPPORTED
 GROUND = (255, 190)
+PAD_SYSTEM = 42
 
 
 def asked(now_s: float = 3.0, **settings: Any) -> Session:
@@ -39,12 +41,43 @@ def send(session: Session, now_s: float, sender: tuple[int, int] = GROUND, north
     session.receive(Codec(*sender).encode(follow_target(beacon)), now_s)
 
 
+def heard(session: Session) -> PadBeacon:
+    assert session.beacons.beacon is not None
+    return session.beacons.beacon
+
+
 def test_the_answer_to_our_request_is_the_pads() -> None:
     session = asked()
     answer(session, 3.1)
     send(session, 3.6)
-    assert session.beacons.beacon is not None
-    assert (session.beacons.beacon.time_s, session.beacons.beacon.altitude_m) == (3.6, 401.0)
+    assert (heard(session).time_s, heard(session).altitude_m) == (3.6, 401.0)
+
+
+@pytest.mark.parametrize(
+    ("session", "answered", "sent_s", "sender"),
+    [
+        *(
+            pytest.param(asked, {"result": result}, 3.2, GROUND, id=f"it refuses to answer: {result}")
+            for result in (UNSUPPORTED, mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_IN_PROGRESS)
+        ),
+        pytest.param(lambda: Session(LinkConfig()), {}, 3.2, GROUND, id="nobody asked"),
+        pytest.param(asked, {"us": 42}, 3.2, GROUND, id="it answers another"),
+        *(
+            pytest.param(asked, {}, 3.2, sender, id=f"{sender} has not accepted")
+            for sender in ((254, 190), (1, 1), (1, 191), (255, 1), (255, 191))
+        ),
+        pytest.param(asked, {}, 3.1 + ANSWER_S + 0.1, GROUND, id="long after the acceptance"),
+        pytest.param(lambda: asked(beacon_system_id=PAD_SYSTEM), {}, 3.2, GROUND, id="a system is named"),
+    ],
+)
+def test_what_is_no_answer_to_our_request_is_not(
+    session: Callable[[], Session], answered: dict[str, Any], sent_s: float, sender: tuple[int, int]
+) -> None:
+    listening = session()
+    send(listening, 3.05, sender)
+    answer(listening, 3.1, **answered)
+    send(listening, sent_s, sender)
+    assert (listening.beacons.beacon, listening.beacons.ignored) == (None, sender)
 
 
 def test_what_a_ground_station_streams_unasked_is_not() -> None:
@@ -53,42 +86,6 @@ def test_what_a_ground_station_streams_unasked_is_not() -> None:
         send(session, float(second))
     assert session.beacons.beacon is None
     assert session.beacons.ignored == GROUND
-
-
-@pytest.mark.parametrize("result", [UNSUPPORTED, mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_IN_PROGRESS])
-def test_nor_what_it_streams_while_it_refuses_to_answer(result: int) -> None:
-    session = asked()
-    send(session, 3.05)
-    answer(session, 3.1, result=result)
-    send(session, 3.2)
-    assert session.beacons.beacon is None
-
-
-def test_an_acceptance_of_what_was_not_asked_or_was_meant_for_another_is_none() -> None:
-    session = Session(LinkConfig())
-    answer(session, 3.1)
-    send(session, 3.2)
-    assert session.beacons.beacon is None
-    session = asked()
-    answer(session, 3.1, us=42)
-    send(session, 3.2)
-    assert session.beacons.beacon is None
-
-
-@pytest.mark.parametrize("sender", [(254, 190), (1, 1), (1, 191), (255, 1), (255, 191)])
-def test_nor_what_another_sends_than_the_one_that_accepted(sender: tuple[int, int]) -> None:
-    session = asked()
-    answer(session, 3.1)
-    send(session, 3.2, sender)
-    assert session.beacons.beacon is None
-    assert session.beacons.ignored == sender
-
-
-def test_what_comes_long_after_the_acceptance_is_no_answer() -> None:
-    session = asked()
-    answer(session, 3.0)
-    send(session, 3.0 + ANSWER_S + 0.1)
-    assert session.beacons.beacon is None
 
 
 def test_the_component_that_is_named_needs_no_asking_and_no_other_counts() -> None:
@@ -109,13 +106,10 @@ def test_a_beacon_faster_than_any_pad_leaves_the_last_good_one(ground_system_id:
     )
     for time_s, north_m_s in ((1.0, 2.9), (2.0, 3.1), (3.0, 1000.0)):
         send(session, time_s, (ground_system_id, 190), north_m_s)
-    assert session.beacons.beacon is not None
-    assert session.beacons.beacon.time_s == 1.0
+    assert heard(session).time_s == 1.0
 
 
 # ---------------- A system on the pad
-
-PAD_SYSTEM = 42
 
 
 def system_position(north_cm_s: int = 100, latitude_e7: int = 470_000_000, boot_ms: int = 5000) -> Any:
@@ -133,12 +127,10 @@ def system_accuracy(across_mm: int, up_mm: int) -> Any:
 def test_the_position_of_the_named_system_is_the_pads_as_accurate_as_it_says() -> None:
     session, codec = Session(LinkConfig(beacon_system_id=PAD_SYSTEM)), Codec(PAD_SYSTEM, 1)
     session.receive(codec.encode(system_position()), 1.0)
-    assert session.beacons.beacon is not None
-    assert session.beacons.beacon.position_std_m == 5.0  # it has told none
+    assert heard(session).position_std_m == 5.0  # it has told none
     session.receive(codec.encode(system_accuracy(20, 30)) + codec.encode(system_position(boot_ms=6000)), 2.0)
-    assert session.beacons.beacon == PadBeacon(
-        2.0, 47.0, 8.0, 401.0, (1.0, 0.0, 0.0), 0.02, 0.03, session.beacons.beacon.velocity_std_m_s, 6.0
-    )
+    expected = replace(BEACON, time_s=2.0, position_std_m=0.02, vertical_std_m=0.03, fix_time_s=6.0)
+    assert replace(heard(session), velocity_std_m_s=None) == expected
 
 
 def test_a_pads_receiver_without_a_fix_leads_nobody() -> None:
@@ -168,13 +160,6 @@ def test_the_position_of_any_other_system_is_not(system_id: int, settings: dict[
     assert session.beacons.beacon is None
 
 
-def test_where_a_system_is_named_no_ground_station_answers_for_it() -> None:
-    session = asked(beacon_system_id=PAD_SYSTEM)
-    answer(session, 3.1)
-    send(session, 3.2)
-    assert session.beacons.beacon is None
-
-
 def test_the_pads_system_is_never_adopted_as_the_vehicle() -> None:
     session, codec = Session(LinkConfig(system_id=0, beacon_system_id=PAD_SYSTEM)), Codec(PAD_SYSTEM, 1)
     heartbeat = mavlink.MAVLink_heartbeat_message(
@@ -191,8 +176,7 @@ def test_what_no_pad_can_be_leaves_the_last_good_position(wrong: dict[str, int])
     session, codec = Session(LinkConfig(beacon_system_id=PAD_SYSTEM)), Codec(PAD_SYSTEM, 1)
     session.receive(codec.encode(system_position()), 1.0)
     session.receive(codec.encode(system_position(**wrong)), 2.0)
-    assert session.beacons.beacon is not None
-    assert session.beacons.beacon.time_s == 1.0
+    assert heard(session).time_s == 1.0
 
 
 def test_the_pads_system_is_not_the_vehicles() -> None:
@@ -208,7 +192,6 @@ def test_what_an_answer_says_of_its_accuracy_is_kept() -> None:
     session = asked()
     answer(session, 3.1)
     session.receive(Codec(*GROUND).encode(follow_target(replace(BEACON, time_s=812.25))), 3.6)
-    assert session.beacons.beacon is not None
-    assert session.beacons.beacon.vertical_std_m == 1.0
-    assert session.beacons.beacon.velocity_std_m_s is not None
-    assert session.beacons.beacon.fix_time_s == 812.25
+    beacon = heard(session)
+    assert beacon.velocity_std_m_s is not None
+    assert (beacon.vertical_std_m, beacon.fix_time_s) == (1.0, 812.25)

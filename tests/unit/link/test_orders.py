@@ -7,13 +7,7 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
-from companion.base.messages import (
-    AutopilotState,
-    Order,
-    OrderKind,
-    OrderOutcome,
-    OrderReply,
-)
+from companion.base.messages import AutopilotState, Order, OrderKind, OrderOutcome, OrderReply
 from companion.config import LinkConfig, OrdersConfig
 from companion.link.codec import CURRENT_MODE, Codec, command_int, command_long, heartbeat, mavlink
 from companion.link.orders import SETTLES_S, UNBROKEN_S, OrderListener
@@ -200,11 +194,7 @@ def test_what_was_switched_just_as_standby_began_asks_for_nothing() -> None:
 # ---------------------------------------------------------------- mode and mission
 
 
-ACTIVE, CRITICAL, STANDBY = (
-    mavlink.MAV_STATE_ACTIVE,
-    mavlink.MAV_STATE_CRITICAL,
-    mavlink.MAV_STATE_STANDBY,
-)
+ACTIVE, CRITICAL, STANDBY = (mavlink.MAV_STATE_ACTIVE, mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_STANDBY)
 
 
 def flown(

@@ -1,22 +1,42 @@
 """The session's commands and parameters: sent, repeated, answered, withdrawn."""
 
 import math
+from typing import Any
 
 import pytest
 
 from companion.config import LinkConfig
 from companion.link.codec import Codec, mavlink
-from companion.link.commands import NO_ANSWER, VehicleCommand
+from companion.link.commands import NO_ANSWER, Pending, VehicleCommand
 from companion.link.session import Session
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.session_flight import DELAY_S, SessionFlight
 
 ARM = VehicleCommand(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
+DISARM = VehicleCommand(ARM.number, (0.0, 0.0))
+
+
+def linked(autopilot: FakeAutopilot | None = None, **settings: Any) -> SessionFlight:
+    """A flight whose link is up."""
+    flight = SessionFlight(LinkConfig(**settings), autopilot=autopilot or FakeAutopilot())
+    flight.run(1.5)
+    return flight
+
+
+def sent(session: Session, now_s: float, kind: str = "COMMAND_LONG") -> list[Any]:
+    return [m for m in Codec(1).decode(session.tick(now_s)) if m.get_type() == kind]
+
+
+def armed() -> tuple[Session, Pending]:
+    """A session that has sent the command, and the command."""
+    session = Session(LinkConfig())
+    pending = session.command(ARM)
+    session.tick(0.0)
+    return session, pending
 
 
 def test_an_accepted_command_is_sent_once() -> None:
-    flight = SessionFlight()
-    flight.run(1.5)
+    flight = linked()
     pending = flight.session.command(ARM)
     flight.run(1.0)
     assert pending.accepted
@@ -25,8 +45,7 @@ def test_an_accepted_command_is_sent_once() -> None:
 
 
 def test_a_lost_command_is_repeated_and_the_repeats_are_counted() -> None:
-    flight = SessionFlight(autopilot=FakeAutopilot(deaf_to={ARM.number: 2}))
-    flight.run(1.5)
+    flight = linked(FakeAutopilot(deaf_to={ARM.number: 2}))
     pending = flight.session.command(ARM)
     flight.run(2.0)
     assert pending.accepted
@@ -34,8 +53,7 @@ def test_a_lost_command_is_repeated_and_the_repeats_are_counted() -> None:
 
 
 def test_a_command_nobody_answers_is_given_up() -> None:
-    flight = SessionFlight(LinkConfig(command_tries=3, command_timeout_s=0.2))
-    flight.run(1.5)
+    flight = linked(command_tries=3, command_timeout_s=0.2)
     flight.cut = True
     pending = flight.session.command(ARM)
     outcomes = []
@@ -47,8 +65,7 @@ def test_a_command_nobody_answers_is_given_up() -> None:
 
 
 def test_a_denied_command_says_so() -> None:
-    flight = SessionFlight(autopilot=FakeAutopilot(refuses={ARM.number: "Arming denied: no GPS"}))
-    flight.run(1.5)
+    flight = linked(FakeAutopilot(refuses={ARM.number: "Arming denied: no GPS"}))
     pending = flight.session.command(ARM)
     flight.run(0.5)
     assert pending.outcome == "denied"
@@ -62,25 +79,22 @@ def ack(result: int, target: tuple[int, int], source: int = 1, component: int = 
 
 
 @pytest.mark.parametrize(
-    ("target", "source", "taken"),
-    [((1, 191), 1, True), ((0, 0), 1, True), ((1, 0), 1, True), ((1, 192), 1, False), ((1, 191), 2, False)],
+    ("target", "source", "component", "taken"),
+    [
+        ((1, 191), 1, 1, True),
+        ((0, 0), 1, 1, True),
+        ((1, 0), 1, 1, True),
+        ((1, 192), 1, 1, False),
+        ((1, 191), 2, 1, False),
+        ((1, 191), 1, 154, False),  # a gimbal does not answer in the autopilot's place
+    ],
 )
 def test_only_an_answer_for_us_from_whom_we_asked_counts(
-    target: tuple[int, int], source: int, taken: bool
+    target: tuple[int, int], source: int, component: int, taken: bool
 ) -> None:
-    session = Session(LinkConfig())
-    pending = session.command(ARM)
-    session.tick(0.0)
-    session.receive(ack(0, target, source), 0.1)
-    assert pending.accepted is taken
-
-
-def test_another_component_does_not_answer_in_the_autopilots_place() -> None:
-    session = Session(LinkConfig())
-    pending = session.command(ARM)
-    session.tick(0.0)
-    session.receive(ack(0, (1, 191), component=154), 0.1)
-    assert pending.outcome is None
+    session, pending = armed()
+    session.receive(ack(0, target, source, component), 0.1)
+    assert (pending.outcome, pending.accepted) == (("accepted", True) if taken else (None, False))
     session.receive(ack(0, (1, 191)), 0.2)
     assert pending.accepted
 
@@ -107,43 +121,34 @@ def test_an_ardupilots_heartbeat_is_asked_for_five_times_a_second() -> None:
 
 
 def test_in_progress_means_wait_and_do_not_repeat() -> None:
-    session = Session(LinkConfig())
-    pending = session.command(ARM)
-    session.tick(0.0)
+    session, pending = armed()
     session.receive(ack(mavlink.MAV_RESULT_IN_PROGRESS, (1, 191)), 0.4)
-    sent = Codec(1).decode(session.tick(2.0))
-    assert "COMMAND_LONG" not in {m.get_type() for m in sent}
+    assert sent(session, 2.0) == []
     session.receive(ack(mavlink.MAV_RESULT_FAILED, (1, 191)), 2.5)
     assert pending.outcome == "failed"
 
 
 def test_commands_of_the_same_number_go_one_after_the_other() -> None:
     session = Session(LinkConfig())
-    first, second = session.command(ARM), session.command(VehicleCommand(ARM.number, (0.0, 0.0)))
-    sent = [m for m in Codec(1).decode(session.tick(0.0)) if m.get_type() == "COMMAND_LONG"]
-    assert [m.param1 for m in sent] == [1.0]
+    first, second = session.command(ARM), session.command(DISARM)
+    assert [m.param1 for m in sent(session, 0.0)] == [1.0]
     session.receive(ack(0, (1, 191)), 0.1)
     assert first.accepted
     assert second.outcome is None
-    sent = [m for m in Codec(1).decode(session.tick(0.1)) if m.get_type() == "COMMAND_LONG"]
-    assert [m.param1 for m in sent] == [0.0]
+    assert [m.param1 for m in sent(session, 0.1)] == [0.0]
 
 
 def test_a_withdrawn_command_is_not_repeated() -> None:
-    session = Session(LinkConfig())
-    pending = session.command(ARM)
-    session.tick(0.0)
+    session, pending = armed()
     session.withdraw(pending)
-    assert "COMMAND_LONG" not in {m.get_type() for m in Codec(1).decode(session.tick(5.0))}
+    assert sent(session, 5.0) == []
     assert pending.outcome == "withdrawn"
 
 
 def test_a_late_answer_to_a_withdrawn_command_is_not_the_next_ones() -> None:
-    session = Session(LinkConfig())
-    first = session.command(ARM)
-    session.tick(0.0)
+    session, first = armed()
     session.withdraw(first)
-    second = session.command(VehicleCommand(ARM.number, (0.0, 0.0)))
+    second = session.command(DISARM)
     session.tick(0.1)
     session.receive(ack(mavlink.MAV_RESULT_DENIED, (1, 191)), 0.2)
     assert second.outcome is None
@@ -165,8 +170,7 @@ def test_a_withdrawn_command_that_was_lost_costs_the_next_one_a_repeat_at_most()
     fourth = session.command(ARM)
     session.tick(1.2)
     session.receive(ack(0, (1, 191)), 1.3)
-    sent = [m.get_type() for m in Codec(1).decode(session.tick(1.75))]
-    assert "COMMAND_LONG" in sent
+    assert sent(session, 1.75) != []
     session.receive(ack(0, (1, 191)), 1.8)
     assert fourth.accepted
 
@@ -180,7 +184,7 @@ def test_a_parameter_is_read_by_its_name() -> None:
     session = Session(LinkConfig())
     session.receive(FakeAutopilot(autopilot_kind="ardupilot", mode="GUIDED").tick(0.0), 0.0)
     request = session.read_parameter("GUID_OPTIONS")
-    asked = [m for m in Codec(1).decode(session.tick(0.1)) if m.get_type() == "PARAM_REQUEST_READ"]
+    asked = sent(session, 0.1, "PARAM_REQUEST_READ")
     assert [(m.param_id, m.param_index, m.target_system) for m in asked] == [("GUID_OPTIONS", -1, 1)]
     session.receive(parameter(b"GUID_TIMEOUT", 3.0), 0.2)
     session.receive(parameter(b"GUID_OPTIONS", math.nan), 0.2)

@@ -10,13 +10,7 @@ from companion.config import ConfigError, LinkConfig
 from companion.link.codec import Codec, heartbeat, mavlink
 from companion.link.commands import NO_ANSWER, VehicleCommand
 from companion.link.session import Session
-from companion.link.signing import (
-    EPOCH_UNIX_S,
-    STAMPS_PER_S,
-    LinkSigning,
-    read_signing_key,
-    stamp_from_unix,
-)
+from companion.link.signing import EPOCH_UNIX_S, STAMPS_PER_S, LinkSigning, read_signing_key, stamp_from_unix
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.framing import Signing
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight

@@ -47,14 +47,8 @@ def test_a_turned_marker_keeps_its_order_of_corners(tmp_path: Path, turns: int) 
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        (
-            {"object_points": [[0, 0, 0], [1, 0, 0], [1, 1, 0]]},
-            "marker 5: .* expected four corners",
-        ),
-        (
-            {"object_points": [[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]]},
-            "marker 5: .* expected a square",
-        ),
+        ({"object_points": [[0, 0, 0], [1, 0, 0], [1, 1, 0]]}, "marker 5: .* expected four corners"),
+        ({"object_points": [[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]]}, "marker 5: .* expected a square"),
         ({"object_points": [[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]]}, "clockwise from its top left"),
         ({"object_points": "here"}, "marker 5: object_points: expected four of x, y, z"),
         ({"family": "tagStandard41h12"}, "dictionary: expected one of"),

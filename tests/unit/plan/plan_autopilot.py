@@ -4,12 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from companion.base.geometry import ZERO3, Vector3, ned_from_geodetic
-from companion.base.messages import (
-    Action,
-    ActionKind,
-    ActionResult,
-    LandedState,
-)
+from companion.base.messages import Action, ActionKind, ActionResult, LandedState
 
 HOME = (47.0, 8.0, 400.0)
 

@@ -79,9 +79,7 @@ async def test_a_port_that_is_not_there_is_reported_in_one_line() -> None:
         SerialPort("/dev/ttyNONE", 9600)
 
 
-async def test_a_port_that_another_program_of_ours_has_is_waited_for(
-    pty: tuple[int, str],
-) -> None:
+async def test_a_port_that_another_program_of_ours_has_is_waited_for(pty: tuple[int, str]) -> None:
     _, path = pty
     first = SerialPort(path, 9600)
     with pytest.raises(DeviceMissing, match=r"cannot be opened at 9600 baud: busy; expected a device"):

@@ -25,10 +25,7 @@ with only_app_at(sys.argv[1]):
 def holder(connection: str) -> subprocess.Popen[str]:
     """Another process that is at the autopilot."""
     process = subprocess.Popen(
-        [sys.executable, "-c", HOLDS, connection],
-        cwd=CONFIG_FOLDER.parent,
-        stdout=subprocess.PIPE,
-        text=True,
+        [sys.executable, "-c", HOLDS, connection], cwd=CONFIG_FOLDER.parent, stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "held\n"

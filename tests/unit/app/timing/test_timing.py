@@ -137,9 +137,7 @@ def test_frames_that_come_unevenly_are_waited_for(spread: float, oldest: float, 
 @pytest.mark.parametrize(
     "make", [lambda rng: rng.exponential(PERIOD_S), lambda rng: rng.choice([1e-6, 0.08])]
 )
-def test_whatever_frames_do_a_cycle_comes_within_bounds(
-    make: Callable[[np.random.Generator], float],
-) -> None:
+def test_whatever_frames_do_a_cycle_comes_within_bounds(make: Callable[[np.random.Generator], float]) -> None:
     rng = np.random.default_rng(0)
     came = accumulate(make(rng) for _ in repeat(None, 3000))
     began_s, _, _ = cycles(came)

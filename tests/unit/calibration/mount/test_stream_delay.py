@@ -103,8 +103,7 @@ def swayed(tmp_path_factory: pytest.TempPathFactory) -> tuple[MountRecording, li
 
 
 @pytest.mark.parametrize(
-    ("kind", "delay_s"),
-    [("http", 0.12), ("http", 0.25), ("rtsp", 0.0), ("rtsp", 0.1), ("rtsp", 0.25)],
+    ("kind", "delay_s"), [("http", 0.12), ("http", 0.25), ("rtsp", 0.0), ("rtsp", 0.1), ("rtsp", 0.25)]
 )
 async def test_the_delay_of_a_stream_is_found_to_ten_milliseconds(
     swayed: tuple[MountRecording, list[Frame]], kind: str, delay_s: float

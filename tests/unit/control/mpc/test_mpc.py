@@ -468,9 +468,7 @@ def _round(time_s: float) -> Target:
 
 
 @pytest.mark.parametrize("wind_m_s2", [4.0, 4.2])
-def test_against_a_wind_that_takes_more_than_the_bounds_allow_it_tilts_all_the_same(
-    wind_m_s2: float,
-) -> None:
+def test_against_a_wind_that_takes_more_than_the_bounds_allow_it_tilts_all_the_same(wind_m_s2: float) -> None:
     mpc, period_s, against = Mpc(CONFIG, LAGS_S), 1.0 / CONFIG.rate_hz, (0.0, -wind_m_s2, 0.0)
     motion = Motion((1.75, 0.0, -0.53), (0.0, 1.55, 0.0), (-1.37, 0.0, 0.0))
     last: Vector3 = (-1.37, 0.0, 0.0)

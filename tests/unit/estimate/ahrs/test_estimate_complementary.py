@@ -2,31 +2,24 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
     Quaternion,
-    quat_conjugate,
     quat_from_euler,
     quat_multiply,
     quat_rotate,
     quat_rotate_inverse,
-    rotation_vector_from_quat,
     tilt_from_quat,
     yaw_from_quat,
 )
 from companion.estimate.ahrs.complementary import OrientationFilter, blend, shortest_turn
+from tests.attitudes import between_deg
+from tests.unit.estimate.at_rest import DOWN_FORCE, FIELD
 
-FIELD = (20.9, 0.6, 42.9)
-DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)
 STILL = (0.0, 0.0, 0.0)
-
-
-def between_deg(a: Quaternion, b: Quaternion) -> float:
-    return math.degrees(np.linalg.norm(rotation_vector_from_quat(quat_multiply(a, quat_conjugate(b)))))
 
 
 def new_filter(attitude: Quaternion = IDENTITY) -> OrientationFilter:

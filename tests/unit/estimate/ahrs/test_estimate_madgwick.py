@@ -7,30 +7,23 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import (
-    GRAVITY_M_S2,
     IDENTITY,
     Quaternion,
     Vector3,
     matrix_from_quat,
-    quat_conjugate,
     quat_from_euler,
     quat_integrate,
     quat_multiply,
     quat_normalise,
     quat_rotate,
     quat_rotate_inverse,
-    rotation_vector_from_quat,
     vector3,
 )
 from companion.estimate.ahrs.madgwick import MadgwickFilter, align, field_gradient, tilt_gradient
+from tests.attitudes import between_deg
+from tests.unit.estimate.at_rest import DOWN_FORCE, FIELD
 
-FIELD = (20.9, 0.6, 42.9)
 DECLINATION = math.atan2(FIELD[1], FIELD[0])
-DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)
-
-
-def between_deg(a: Quaternion, b: Quaternion) -> float:
-    return math.degrees(np.linalg.norm(rotation_vector_from_quat(quat_multiply(a, quat_conjugate(b)))))
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 90, 180, 270])

@@ -10,14 +10,7 @@ from scipy.linalg import expm
 
 from companion.base.geometry import FloatArray
 from companion.config import PadFilterConfig
-from companion.estimate.pad.model_bank import (
-    BankState,
-    ModelBank,
-    ModelTransition,
-    advance,
-    innovation,
-    mix,
-)
+from companion.estimate.pad.model_bank import BankState, ModelBank, ModelTransition, advance, innovation, mix
 from companion.estimate.pad.pad_models import (
     TURN,
     TURN_JERK_TIME_CONSTANT_S,

@@ -20,11 +20,8 @@ from companion.base.messages import AutopilotAttitude, ImuSample, PadSighting
 from companion.config import EstimateConfig
 from companion.config.estimate import PadFilterConfig
 from companion.estimate.estimator import StateEstimator
-from companion.estimate.vehicle.attitude_reset import (
-    AttitudeReset,
-    ReportQueue,
-    apart,
-)
+from companion.estimate.vehicle.attitude_reset import AttitudeReset, ReportQueue, apart
+from tests.attitudes import DEGREE
 from tests.unit.estimate.estimate_flight import (
     FIELD_NED_UT,
     EstimateFlight,
@@ -34,8 +31,6 @@ from tests.unit.estimate.estimate_flight import (
     slow_turns,
     smooth,
 )
-
-DEGREE = math.radians(1.0)
 
 
 def swing(t: float) -> Vector3:

@@ -26,10 +26,10 @@ from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
+from tests.attitudes import between_deg
+from tests.unit.estimate.at_rest import DOWN_FORCE, FIELD
 
-FIELD = (20.9, 0.6, 42.9)
 ANTENNA = (0.1, 0.05, -0.05)
-DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)
 
 
 def new_ekf(attitude: Quaternion = IDENTITY, tilt_deg: float = 2.0, gyro_std: float = 5e-4) -> VehicleEkf:
@@ -46,10 +46,6 @@ def at_rest(attitude: Quaternion) -> ImuStep:
 
 def fix(position: Vector3 = (0.0, 0.0, 0.0), velocity: Vector3 = (0.0, 0.0, 0.0)) -> GpsStep:
     return GpsStep(position, velocity, (3.0, 3.0, 4.5), (0.15, 0.15, 0.2))
-
-
-def between_deg(a: Quaternion, b: Quaternion) -> float:
-    return math.degrees(np.linalg.norm(rotation_vector_from_quat(quat_multiply(a, quat_conjugate(b)))))
 
 
 def busy(ekf: VehicleEkf, start: int, end: int, seed: int = 5) -> None:
@@ -224,8 +220,7 @@ def test_a_fix_without_vertical_speed_leaves_the_climb_rate_to_the_accelerometer
             height_m = 0.25 * elapsed_s**2 if elapsed_s <= 1.0 else 0.25 + 0.5 * (elapsed_s - 1.0)
             place = (ANTENNA[0], ANTENNA[1], ANTENNA[2] - height_m)
             ekf.apply(
-                0.01 * (k + 1) + 1e-4,
-                GpsStep(place, (0.0, 0.0, 0.0), (3.0, 3.0, 4.5), (0.15, 0.15, 50.0)),
+                0.01 * (k + 1) + 1e-4, GpsStep(place, (0.0, 0.0, 0.0), (3.0, 3.0, 4.5), (0.15, 0.15, 50.0))
             )
     assert ekf.x[15] == pytest.approx(-0.5, abs=0.1)
     assert start_std < 0.5

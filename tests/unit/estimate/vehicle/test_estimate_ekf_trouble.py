@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import (
-    GRAVITY_M_S2,
     IDENTITY,
     ZERO3,
     Quaternion,
@@ -14,7 +13,6 @@ from companion.base.geometry import (
     add,
     euler_from_quat,
     norm,
-    quat_conjugate,
     quat_from_euler,
     quat_from_rotation_vector,
     quat_integrate,
@@ -33,11 +31,10 @@ from companion.estimate.vehicle.ekf_inputs import GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
+from tests.attitudes import DEGREE, between_deg, between_rad
+from tests.unit.estimate.at_rest import DOWN_FORCE, FIELD
 
-FIELD = (20.9, 0.6, 42.9)
-DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)
 STD_M, STD_M_S = (3.0, 3.0, 4.5), (0.15, 0.15, 0.2)
-DEGREE = math.radians(1.0)
 
 
 def new_ekf(config: EkfConfig | None = None, attitude: Quaternion = IDENTITY) -> VehicleEkf:
@@ -105,8 +102,7 @@ def test_shaking_neither_turns_the_attitude_nor_tells_anything_of_it(seed: int) 
         truth = quat_integrate(truth, rate, 0.01)
         force = add(quat_rotate_inverse(truth, DOWN_FORCE), vector3(10.0 * rng.normal(size=3)))
         ekf.apply(0.01 * k, ImuStep(rate, force, 2))
-    apart = rotation_vector_from_quat(quat_multiply(quat_conjugate(truth), ekf.attitude))
-    assert norm(apart) < 0.001 * DEGREE
+    assert between_deg(truth, ekf.attitude) < 0.001
     for after, before in zip(std_deg(ekf), doubt, strict=True):
         assert after >= before - 1e-6
 
@@ -255,8 +251,7 @@ def test_a_lost_attitude_starts_again_from_the_pre_filter_after_its_timeout() ->
         ekf.apply(0.01 * k, ImuStep(ZERO3, force, 2, None, attitude, 0.05, 0.1))
         if k == 300:
             assert abs(yaw_from_quat(ekf.attitude)) < 0.3, "still patient"
-    apart = rotation_vector_from_quat(quat_multiply(quat_conjugate(truth), ekf.attitude))
-    assert norm(apart) < 2 * DEGREE
+    assert between_deg(truth, ekf.attitude) < 2.0
     assert 1.0 < std_deg(ekf)[2] < 8.0, "as sure as the pre-filter"
     assert ekf.gates["orientation"].refused_in_a_row == 0
 
@@ -278,7 +273,7 @@ def test_a_bias_step_sets_the_bias_and_turns_the_attitude_back() -> None:
     ekf.apply(ekf.time_s, BiasStep(bias, turned))
     assert vector3(ekf.x[model.GYRO_BIAS]) == bias
     back = quat_multiply(ekf.attitude, quat_from_rotation_vector(turned))
-    assert norm(rotation_vector_from_quat(quat_multiply(quat_conjugate(before), back))) < 1e-6
+    assert between_rad(before, back) < 1e-6
     assert ekf.x[model.EULER] == pytest.approx(euler_from_quat(ekf.attitude))
     for after, earlier in zip(std_deg(ekf), doubt, strict=True):
         assert 0.7 < math.sqrt(after**2 - earlier**2) < 1.5

@@ -5,14 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.base.geometry import (
-    IDENTITY,
-    ZERO3,
-    Vector3,
-    quat_integrate,
-    quat_rotate_inverse,
-    vector3,
-)
+from companion.base.geometry import IDENTITY, ZERO3, Vector3, quat_integrate, quat_rotate_inverse, vector3
 from companion.config import EkfConfig
 from companion.estimate.vehicle.field_mean import DELAY_STD_S, FieldMean
 

@@ -26,9 +26,9 @@ from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import SecondAttitudeStep
 from companion.estimate.vehicle.ekf_start import InitialState
+from tests.attitudes import DEGREE
 from tests.unit.estimate.estimate_flight import FIELD_NED_UT, new_estimator
 
-DEGREE = math.radians(1.0)
 YAW = 70.0 * DEGREE
 HORIZONTAL_UT = math.hypot(FIELD_NED_UT[0], FIELD_NED_UT[1])
 # horizontal and square to the field: of a bias only this turns the heading

@@ -12,13 +12,10 @@ from companion.base.geometry import (
     ZERO3,
     Quaternion,
     Vector3,
-    norm,
-    quat_conjugate,
     quat_from_euler,
     quat_multiply,
     quat_normalise,
     quat_rotate_inverse,
-    rotation_vector_from_quat,
     vector3,
 )
 from companion.base.messages import ImuSample, MagSample
@@ -29,11 +26,10 @@ from companion.estimate.vehicle.ekf_inputs import GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.innovation_watch import InnovationWatch, TroubleReport
+from tests.attitudes import DEGREE, between_deg
+from tests.unit.estimate.at_rest import DOWN_FORCE, FIELD
 from tests.unit.estimate.estimate_flight import FIELD_NED_UT, new_estimator
 
-FIELD = (20.9, 0.6, 42.9)
-DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)
-DEGREE = math.radians(1.0)
 TILT_NOISE, HEADING_NOISE = 12 * DEGREE, 20 * DEGREE
 
 
@@ -42,10 +38,6 @@ def sure_ekf(attitude: Quaternion = IDENTITY) -> VehicleEkf:
     return VehicleEkf(
         EkfConfig(), ZERO3, InitialState(0.0, attitude, ZERO3, FIELD, 0.3 * DEGREE, 0.5 * DEGREE, 1e-4)
     )
-
-
-def apart_deg(ekf: VehicleEkf, attitude: Quaternion) -> float:
-    return norm(rotation_vector_from_quat(quat_multiply(ekf.attitude, quat_conjugate(attitude)))) / DEGREE
 
 
 def run(
@@ -86,7 +78,7 @@ def test_a_heading_that_has_run_away_is_doubted_and_comes_back_though_no_gate_re
     run(ekf, 8.0, truth)
     assert ekf.gates["orientation"].refused == 0
     assert math.isfinite(ekf.watch.doubted_s)
-    assert apart_deg(ekf, truth) < 4.0
+    assert between_deg(ekf.attitude, truth) < 4.0
 
 
 def test_a_gyroscope_that_leads_away_again_has_the_filter_start_from_the_pre_filter() -> None:
@@ -94,7 +86,7 @@ def test_a_gyroscope_that_leads_away_again_has_the_filter_start_from_the_pre_fil
     run(ekf, 25.0, IDENTITY, rate=(0.0, 0.0, 8 * DEGREE))
     assert math.isfinite(ekf.watch.restarted_s)
     assert ekf.watch.restarted_s > ekf.watch.doubted_s
-    assert apart_deg(ekf, IDENTITY) < 5.0
+    assert between_deg(ekf.attitude, IDENTITY) < 5.0
     assert ekf.x[model.GYRO_BIAS][2] / DEGREE > 4.0, "and finds what has led it away"
 
 
@@ -104,7 +96,7 @@ def test_while_fixes_fit_it_is_not_started_again() -> None:
     run(ekf, 20.0, wrong, fixes=True)
     assert math.isfinite(ekf.watch.doubted_s)
     assert ekf.watch.restarted_s == -math.inf
-    assert apart_deg(ekf, IDENTITY) < 5.0
+    assert between_deg(ekf.attitude, IDENTITY) < 5.0
 
 
 @pytest.mark.parametrize("wrong", ["compass", "ours"])
@@ -125,7 +117,7 @@ def test_fixes_of_a_vehicle_that_turns_say_which_heading_is_wrong(wrong: str) ->
             velocity = (speed * math.cos(rate * t), speed * math.sin(rate * t), 0.0)
             place = (speed / rate * math.sin(rate * t), -speed / rate * math.cos(rate * t), 0.0)
             ekf.apply(t, GpsStep(place, velocity, (3.0, 3.0, 4.5), (0.15, 0.15, 0.2)))
-    assert apart_deg(ekf, truth) < 5.0
+    assert between_deg(ekf.attitude, truth) < 5.0
     assert math.isfinite(ekf.watch.doubted_s) == (wrong == "ours")
 
 
@@ -143,7 +135,7 @@ def test_a_deck_that_turns_the_compass_turns_no_heading_that_fixes_hold(fixes: b
         if fixes and k % 20 == 0:
             ekf.apply(ekf.time_s, GpsStep(ZERO3, ZERO3, (3.0, 3.0, 4.5), (0.15, 0.15, 0.2)))
     assert math.isfinite(ekf.watch.doubted_s) != fixes
-    assert (apart_deg(ekf, IDENTITY) < 10.0) == fixes
+    assert (between_deg(ekf.attitude, IDENTITY) < 10.0) == fixes
 
 
 def test_an_attitude_that_fits_is_left_alone() -> None:

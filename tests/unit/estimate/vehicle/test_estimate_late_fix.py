@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3
+from companion.base.geometry import IDENTITY, ZERO3
 from companion.config import EkfConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import EkfInput, GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
+from tests.unit.estimate.at_rest import DOWN_FORCE
 
-DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)
 STD_M, STD_M_S = (3.0, 3.0, 4.5), (0.15, 0.15, 0.2)
 FIX = GpsStep((0.3, 0.2, 0.1), (0.1, 0.0, -0.05), STD_M, STD_M_S)
 FAR = GpsStep((80.0, 0.2, 0.1), (9.0, 0.0, 0.0), STD_M, STD_M_S)

@@ -23,6 +23,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import AutopilotAttitude
 from companion.estimate.vehicle.gyro_bias_check import BiasStep, SecondGyro
+from tests.attitudes import DEGREE
 
 Told = Callable[[float], tuple[float, Quaternion] | None]  # what arrives from the autopilot, if anything
 
@@ -30,7 +31,6 @@ IMU_S = 0.005
 TOLD_EVERY = 8  # samples of the IMU: 25 Hz
 BIAS = (0.01, -0.01, 0.005)
 STEP_S = 20.0
-DEGREE = math.radians(1.0)
 
 
 def turning(t: float) -> Quaternion:

@@ -12,16 +12,14 @@ from companion.base.geometry import (
     Vector3,
     add,
     norm,
-    quat_conjugate,
     quat_integrate,
-    quat_multiply,
     quat_rotate,
-    rotation_vector_from_quat,
     scale,
     subtract,
     vector3,
 )
 from companion.estimate.vehicle.strapdown import Increment, Strapdown
+from tests.attitudes import between_rad
 
 Signal = Callable[[float], Vector3]
 
@@ -96,10 +94,6 @@ def integrated(steps: list[Increment]) -> tuple[Quaternion, Vector3]:
         push = add(push, scale(quat_rotate(middle, step.specific_force_body_m_s2), step.span_s))
         q = quat_integrate(q, step.rate_body_rad_s, step.span_s)
     return q, push
-
-
-def between_rad(a: Quaternion, b: Quaternion) -> float:
-    return norm(rotation_vector_from_quat(quat_multiply(quat_conjugate(a), b)))
 
 
 def test_coning_is_compensated_twenty_times_better_than_by_a_mean() -> None:

@@ -80,10 +80,7 @@ def test_the_history_is_told_by_what_the_attitude_is_corrected() -> None:
 def test_vibration_does_not_go_on_beyond_the_newest_sample() -> None:
     # GIVEN a vehicle at rest whose IMU shakes by 2 m/s² at 90 Hz
     history = MotionHistory(1.0)
-    motion, orientation = (
-        InertialMotion(history),
-        new_orientation(EstimateConfig(), FIELD_NED_UT, IDENTITY),
-    )
+    motion, orientation = (InertialMotion(history), new_orientation(EstimateConfig(), FIELD_NED_UT, IDENTITY))
     swings, speeds = [], []
     for k in range(1, 401):
         shaken = 2.0 * math.sin(math.tau * 90.0 * k * STEP_S)
@@ -100,10 +97,7 @@ def test_vibration_does_not_go_on_beyond_the_newest_sample() -> None:
 def test_a_blow_is_not_carried_on_while_the_next_samples_are_late() -> None:
     """Feet that are stopped within one sample: 127 m/s2 for 8 ms."""
     history, step_s = MotionHistory(1.0), 0.008
-    motion, orientation = (
-        InertialMotion(history),
-        new_orientation(EstimateConfig(), FIELD_NED_UT, IDENTITY),
-    )
+    motion, orientation = (InertialMotion(history), new_orientation(EstimateConfig(), FIELD_NED_UT, IDENTITY))
     for k in range(1, 101):
         force: Vector3 = (-127.0 if k == 100 else 0.0, 0.0, -GRAVITY_M_S2)
         motion.add(ImuSample(k * step_s, ZERO3, force, 25.0), ZERO3, step_s, ZERO3, force, orientation)

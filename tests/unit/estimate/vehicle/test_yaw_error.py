@@ -12,8 +12,8 @@ from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EkfState
 from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import GYRO_SCALE_ERROR, YawError
+from tests.attitudes import DEGREE
 
-DEGREE = math.radians(1.0)
 FIELD_NED_UT = (20.9, 0.6, 42.9)
 STEP_S = 0.01
 WHOLE = model.STATES + 3

@@ -9,10 +9,7 @@ from companion.base.geometry import IDENTITY, Quaternion, quat_from_euler, quat_
 from companion.base.messages import ImuSample
 from companion.flightlog.errors import RecordedTrack, track_of
 from companion.flightlog.replay.compare import attitude_errors_deg
-from companion.flightlog.replay.flight_record import (
-    Ask,
-    RecordedEvent,
-)
+from companion.flightlog.replay.flight_record import Ask, RecordedEvent
 from companion.flightlog.replay.run import asked_regularly
 
 

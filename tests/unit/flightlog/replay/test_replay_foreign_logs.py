@@ -381,10 +381,7 @@ def write(path: Path, names: DataFlashNames) -> Path:
 def test_ardupilots_names_of_every_year_are_understood(tmp_path: Path, names: DataFlashNames) -> None:
     record = read_dataflash(write(tmp_path / "a.bin", names))
     imu, fix = item(record, ImuSample), item(record, GpsFix)
-    assert (imu.rate_body_rad_s, imu.specific_force_body_m_s2) == (
-        pytest.approx(RATE),
-        pytest.approx(FORCE),
-    )
+    assert (imu.rate_body_rad_s, imu.specific_force_body_m_s2) == (pytest.approx(RATE), pytest.approx(FORCE))
     assert imu.time_s == 1.0
     columns = names["IMU"][1].split(",")
     warm = 25.5 if {"T", "Temp"} & set(columns) else math.nan

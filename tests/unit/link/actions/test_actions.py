@@ -22,11 +22,7 @@ MODES: dict[AutopilotKind, dict[ActionKind, str]] = {
         ActionKind.HOLD: "AUTO.LOITER",
         ActionKind.LAND: "AUTO.LAND",
     },
-    "ardupilot": {
-        ActionKind.TAKE_CONTROL: "GUIDED",
-        ActionKind.HOLD: "BRAKE",
-        ActionKind.LAND: "LAND",
-    },
+    "ardupilot": {ActionKind.TAKE_CONTROL: "GUIDED", ActionKind.HOLD: "BRAKE", ActionKind.LAND: "LAND"},
 }
 AUTOPILOT_KINDS: list[AutopilotKind] = ["px4", "ardupilot"]
 

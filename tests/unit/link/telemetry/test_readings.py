@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2
+from companion.base.geometry import GRAVITY_M_S2, Vector3
 from companion.base.messages import RangeSample
 from companion.link.telemetry.autopilot_sensors import gps_fix, imu_sample, mag_sample, range_sample, stamp_s
 from tests.unit.link.telemetry.autopilot_readings import distance, gps, highres, raw, scaled
@@ -39,16 +39,19 @@ def test_raw_and_scaled_imu_are_in_thousandths_of_g_rad_and_gauss(build: type) -
     assert stamp_s(message) == T
 
 
-def test_gauss_become_microtesla() -> None:
-    field = mag_sample(highres(T, xmag=0.209, ymag=-0.006, zmag=0.429), T)
+@pytest.mark.parametrize(
+    ("sent", "field_ut"),
+    [
+        pytest.param((0.209, -0.006, 0.429), (20.9, -0.6, 42.9), id="gauss"),
+        pytest.param(
+            (59868.1, -230040.2, -529062.7), (5.98681, -23.00402, -52.90627), id="ArduPilot's: 1e6 too large"
+        ),
+    ],
+)
+def test_the_field_of_highres_imu_becomes_microtesla(sent: Vector3, field_ut: Vector3) -> None:
+    field = mag_sample(highres(T, **dict(zip(("xmag", "ymag", "zmag"), sent, strict=True))), T)
     assert field is not None
-    assert field.field_body_ut == pytest.approx((20.9, -0.6, 42.9))
-
-
-def test_ardupilots_field_in_highres_imu_is_a_million_times_too_large() -> None:
-    field = mag_sample(highres(T, xmag=59868.1, ymag=-230040.2, zmag=-529062.7), T)
-    assert field is not None
-    assert field.field_body_ut == pytest.approx((5.98681, -23.00402, -52.90627))
+    assert field.field_body_ut == pytest.approx(field_ut)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from companion.base.geometry import quat_from_euler
-from companion.base.messages import LandedState
+from companion.base.messages import PadState
 from companion.base.motion import Motion
 from companion.plan.events import MissionEvent
 from tests.unit.plan.landing.touchdown_attempt import (
@@ -38,15 +38,14 @@ def test_sinking_too_fast_it_breaks_off_unless_it_is_down_already(
     touchdown = sinking()
     fast = sight(height=height, velocity=(0.0, 0.0, sink_m_s))
     for k in range(6):
-        assert touchdown.step(fast, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
+        assert touchdown.step(fast, 1.0 + k * CYCLE_S) is None
         if not touchdown.committed:
             break
     assert touchdown.committed is not broken
     if broken:
         # and rises to where it waits, without a step, and may commit again
         before = touchdown._generator.at(1.2)
-        for k in range(6, 80):
-            touchdown.step(sight(height=height), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+        touchdown.cycles([sight(height=height)] * 74)
         after = touchdown._generator.at(3.5)
         assert before.velocity_m_s[2] > 0.0
         assert after.position_m[2] == pytest.approx(-WAIT_M, abs=0.01)
@@ -60,7 +59,7 @@ def test_it_goes_on_down_after_a_gust_that_held_it_up_and_not_when_held_for_good
         for _ in range(round(lasts_s / CYCLE_S)):
             now_s, height_m = now_s + CYCLE_S, height_m - sink_m_s * CYCLE_S
             seen = sight(height=height_m, velocity=(0.0, 0.0, sink_m_s))
-            assert touchdown.step(seen, None, LandedState.IN_AIR, now_s) is None
+            assert touchdown.step(seen, now_s) is None
             assert touchdown.committed
     held_s = now_s
     # swaying in the gusts it comes no lower: that puts nothing off
@@ -68,7 +67,7 @@ def test_it_goes_on_down_after_a_gust_that_held_it_up_and_not_when_held_for_good
         now_s += CYCLE_S
         swing, rate = 0.02 * math.sin(6.0 * (now_s - held_s)), 0.12 * math.cos(6.0 * (now_s - held_s))
         seen = sight(height=height_m + 0.02 + swing, velocity=(0.0, 0.0, -rate))
-        found = touchdown.step(seen, None, LandedState.IN_AIR, now_s)
+        found = touchdown.step(seen, now_s)
     assert found == (MissionEvent.MISALIGNED, "no contact 1.5 s after the expected time")
     assert now_s - held_s == pytest.approx(CONFIG.overdue_s, abs=0.5)
 
@@ -77,13 +76,13 @@ def test_a_break_off_climbs_at_once() -> None:
     touchdown = sinking()
     now_s, low = 1.0, sight(0.1, LEG_M + 0.25, velocity=(0.0, 0.0, 0.19))
     while touchdown.committed:
-        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+        touchdown.step(low, now_s)
         now_s += CYCLE_S
     begun_s = now_s - CYCLE_S
     start = touchdown._generator.at(begun_s)
     lowest_m = start.position_m[2]
     while now_s < begun_s + 0.3:
-        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+        touchdown.step(low, now_s)
         lowest_m = max(lowest_m, touchdown._generator.at(now_s).position_m[2])
         now_s += CYCLE_S
     assert start.velocity_m_s[2] == pytest.approx(CONFIG.contact_speed_m_s, abs=0.02)
@@ -92,19 +91,23 @@ def test_a_break_off_climbs_at_once() -> None:
     # and comes to rest where it waits, not far over it
     highest_m = 0.0
     while now_s < begun_s + 3.0:
-        touchdown.step(sight(0.1), None, LandedState.IN_AIR, now_s)
+        touchdown.step(sight(0.1), now_s)
         highest_m = min(highest_m, touchdown._generator.at(now_s).position_m[2])
         now_s += CYCLE_S
     assert -highest_m < WAIT_M + 0.1
     assert touchdown._generator.at(now_s).position_m[2] == pytest.approx(-WAIT_M, abs=0.01)
 
 
-def test_one_fast_sample_is_no_reason_to_break_off() -> None:
+@pytest.mark.parametrize(
+    ("off", "good"),
+    [
+        pytest.param(*(sight(height=0.4, velocity=(0.0, 0.0, v)) for v in (0.5, 0.2)), id="a fast sample"),
+        pytest.param(*(sight(aside, LEG_M + 0.2) for aside in (0.12, 0.05)), id="aside for a moment"),
+    ],
+)
+def test_what_does_not_last_is_no_reason_to_break_off(off: PadState, good: PadState) -> None:
     touchdown = sinking()
-    for k in range(9):
-        speed = 0.5 if k % 3 == 0 else 0.2
-        seen = sight(height=0.4, velocity=(0.0, 0.0, speed))
-        touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    touchdown.cycles([off, good, good] * 3)
     assert touchdown.committed
 
 
@@ -121,8 +124,7 @@ def test_aside_on_the_final_descent_it_waits_again_over_the_pad(
     aside: float, height: float, broken: bool
 ) -> None:
     touchdown = sinking()
-    for k in range(6):
-        assert touchdown.step(sight(aside, height), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
+    assert touchdown.cycles([sight(aside, height)] * 6) == []
     assert touchdown.committed is not broken
     assert (f"lateral offset {100.0 * aside:.0f} cm" in touchdown.broken_off_by) is broken
 
@@ -134,7 +136,7 @@ def test_a_break_off_keeps_room_for_the_foot_that_hangs_lower(tilt_deg: float, b
     low = sight(0.1, LEG_M + 0.09, velocity=(0.0, 0.0, 0.2))
     for k in range(6):
         touchdown.note_tilt(quat_from_euler(math.radians(tilt_deg), 0.0, 0.0), 1.0 + k * CYCLE_S)
-        touchdown.step(low, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+        touchdown.step(low, 1.0 + k * CYCLE_S)
     assert touchdown.committed is not broken
 
 
@@ -147,18 +149,9 @@ def test_a_gust_that_will_carry_it_aside_breaks_it_off_before_it_has(
 ) -> None:
     touchdown = sinking()
     drifting = sight(aside, LEG_M + 0.2, velocity=(speed_m_s, 0.0, 0.19))
-    for k in range(6):
-        assert touchdown.step(drifting, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
+    assert touchdown.cycles([drifting] * 6) == []
     assert touchdown.committed is not broken
     assert (f"at {abs(speed_m_s):.2f} m/s" in touchdown.broken_off_by) is broken
-
-
-def test_a_moment_aside_is_no_reason_to_break_off() -> None:
-    touchdown = sinking()
-    for k in range(9):
-        seen = sight(aside=0.12 if k % 3 == 0 else 0.05, height=LEG_M + 0.2)
-        touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
-    assert touchdown.committed
 
 
 def test_each_break_off_uses_up_the_same_try() -> None:
@@ -166,7 +159,7 @@ def test_each_break_off_uses_up_the_same_try() -> None:
     while found is None and k * CYCLE_S < 60.0:
         was = touchdown.committed
         seen = sight(0.2, LEG_M + 0.2) if was else sight()
-        found = touchdown.step(seen, None, LandedState.IN_AIR, k * CYCLE_S)
+        found = touchdown.step(seen, k * CYCLE_S)
         found = None if found and found[0] is MissionEvent.MISALIGNED and was else found
         commits += touchdown.committed and not was
         k += 1
@@ -191,7 +184,7 @@ def test_who_gives_the_final_descent_up_climbs_at_once(lateral_m: float) -> None
     touchdown = sinking()
     late_s = 1.0 if lateral_m else 20.0
     low = sight(lateral_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.19))
-    found = touchdown.step(low, None, LandedState.IN_AIR, late_s)
+    found = touchdown.step(low, late_s)
     assert found is not None
     assert found[0] is MissionEvent.MISALIGNED
     # WHEN the landing flies back to over the pad from the next cycle on

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.base.messages import LandedState, PadState
+from companion.base.messages import PadState
 from companion.config import LandingConfig, TouchdownConfig
 from companion.control.attitude import attitude_from_acceleration
 from companion.plan.events import MissionEvent
@@ -16,6 +16,7 @@ from tests.unit.plan.landing.touchdown_attempt import (
     WAIT_M,
     fresh,
     sight,
+    sinking,
     tilting,
     wait,
     waited,
@@ -53,11 +54,7 @@ def test_it_commits_once_aligned_for_a_moment() -> None:
 
 def test_a_break_in_alignment_starts_the_moment_again() -> None:
     touchdown = fresh()
-    for k in range(5):
-        touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
-    touchdown.step(sight(aside=0.2), None, LandedState.IN_AIR, 5 * CYCLE_S)
-    for k in range(6, 11):
-        touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
+    touchdown.cycles([*[sight()] * 5, sight(aside=0.2), *[sight()] * 5])
     assert not touchdown.committed
 
 
@@ -104,58 +101,49 @@ def test_a_long_wait_bears_more_tilt_by_and_by() -> None:
     while not touchdown.committed and k * CYCLE_S < 29.0:
         since_calm_s = k * CYCLE_S % 4.0
         touchdown.note_tilt(tilting(0.0) if since_calm_s < 1.0 else tilt, k * CYCLE_S)
-        touchdown.step(sight(0.2 if since_calm_s < 3.0 else 0.0), None, LandedState.IN_AIR, k * CYCLE_S)
+        touchdown.step(sight(0.2 if since_calm_s < 3.0 else 0.0), k * CYCLE_S)
         k += 1
     # THEN 1.35 times what is gentle is borne once nearly three waits are over
     assert 2.9 * CONFIG.gentle_wait_s < k * CYCLE_S < 3.0 * CONFIG.gentle_wait_s + 4.0
 
 
-@pytest.mark.parametrize(("turn_deg_s", "commits"), [(0.0, False), (80.0, True), (-80.0, True)])
-def test_a_tilt_that_the_pads_turn_takes_back_by_contact_is_borne(turn_deg_s: float, commits: bool) -> None:
-    touchdown = fresh()
-    # GIVEN 1.2 m/s2 with the pad and 0.8 against the wind, now in one direction, at contact about opposite
-    turning = replace(
-        sight(), acceleration_ned_m_s2=(0.0, 1.2, 0.0), turn_rate_rad_s=math.radians(turn_deg_s)
-    )
+@pytest.mark.parametrize(
+    ("pad_m_s2", "tilt_m_s2", "turn_deg_s", "commits"),
+    [
+        # 1.2 m/s2 with the pad and 0.8 against the wind, now in one direction, at contact about opposite
+        pytest.param(1.2, 2.0, 0.0, False, id="it does not turn"),
+        pytest.param(1.2, 2.0, 80.0, True, id="the turn takes the tilt back"),
+        pytest.param(1.2, 2.0, -80.0, True, id="the turn the other way too"),
+        pytest.param(-1.0, 0.2, 80.0, False, id="the turn brings the tilt"),
+    ],
+)
+def test_a_tilt_that_the_pads_turn_takes_back_by_the_contact_is_borne(
+    pad_m_s2: float, tilt_m_s2: float, turn_deg_s: float, commits: bool
+) -> None:
+    touchdown, turn_rate_rad_s = fresh(), math.radians(turn_deg_s)
+    turning = replace(sight(), acceleration_ned_m_s2=(0.0, pad_m_s2, 0.0), turn_rate_rad_s=turn_rate_rad_s)
     for k in range(round(0.9 * CONFIG.gentle_wait_s / CYCLE_S)):
-        touchdown.note_tilt(attitude_from_acceleration((0.0, 2.0, 0.0), 1.0), k * CYCLE_S, turning)
-        touchdown.step(turning, None, LandedState.IN_AIR, k * CYCLE_S)
+        touchdown.note_tilt(attitude_from_acceleration((0.0, tilt_m_s2, 0.0), 1.0), k * CYCLE_S, turning)
+        touchdown.cycles([turning])
     assert touchdown.committed is commits
 
 
-def test_a_tilt_that_the_pads_turn_brings_by_the_contact_is_not() -> None:
-    touchdown = fresh()
-    turning = replace(sight(), acceleration_ned_m_s2=(0.0, -1.0, 0.0), turn_rate_rad_s=math.radians(80.0))
-    for k in range(round(0.9 * CONFIG.gentle_wait_s / CYCLE_S)):
-        touchdown.note_tilt(attitude_from_acceleration((0.0, 0.2, 0.0), 1.0), k * CYCLE_S, turning)
-        touchdown.step(turning, None, LandedState.IN_AIR, k * CYCLE_S)
-    assert not touchdown.committed
-
-
-def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
-    touchdown, told = fresh(), 0
-    for k in range(round(29.0 / CYCLE_S)):
-        was = touchdown.committed
-        touchdown.note_tilt(tilting(2.4), k * CYCLE_S)
-        touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
-        told += touchdown.committed is not was
-        if touchdown.committed:
-            break
-    assert told == 1
-    assert k * CYCLE_S > CONFIG.gentle_wait_s
-
-
-def test_it_does_not_start_down_into_a_drift_that_would_break_it_off() -> None:
-    touchdown, told = fresh(tolerance_scale=1.6), 0
-    drifting = sight(0.088, velocity=(0.17, 0.0, 0.0))
-    for k in range(round(15.0 / CYCLE_S)):
-        was = touchdown.committed
-        touchdown.step(drifting, None, LandedState.IN_AIR, k * CYCLE_S)
-        told += touchdown.committed is not was
-        if touchdown.committed:
-            break
-    assert told == 1
-    assert k * CYCLE_S > 2.0 * CONFIG.gentle_wait_s
+@pytest.mark.parametrize(
+    ("seen", "tilt_m_s2", "tolerance_scale", "waits"),
+    [
+        pytest.param(sight(), 2.4, 1.0, 1.0, id="a tilt"),
+        pytest.param(sight(0.088, velocity=(0.17, 0.0, 0.0)), 0.0, 1.6, 2.0, id="a drift"),
+    ],
+)
+def test_what_would_break_it_off_at_once_is_no_moment_to_commit(
+    seen: PadState, tilt_m_s2: float, tolerance_scale: float, waits: float
+) -> None:
+    touchdown = fresh(tolerance_scale)
+    while not touchdown.committed and touchdown.now_s < 29.0:
+        touchdown.note_tilt(tilting(tilt_m_s2), touchdown.now_s + CYCLE_S)
+        touchdown.cycles([seen])
+    assert (touchdown.committed, touchdown.broken_off_by) == (True, "")
+    assert touchdown.now_s > waits * CONFIG.gentle_wait_s
 
 
 def test_drift_that_does_not_get_less_is_borne_by_and_by() -> None:
@@ -163,23 +151,32 @@ def test_drift_that_does_not_get_less_is_borne_by_and_by() -> None:
     for waited_s in (0.0, 4.0 * CONFIG.gentle_wait_s):
         touchdown, now_s = fresh(), 0.0
         while not touchdown.committed and now_s < waited_s + 1.0:
-            touchdown.step(sight(0.2 if now_s < waited_s else 0.0), None, LandedState.IN_AIR, now_s)
+            touchdown.step(sight(0.2 if now_s < waited_s else 0.0), now_s)
             now_s += CYCLE_S
         # 13 cm in 0.22 s
-        drifting = sight(0.06, LEG_M + 0.2, velocity=(0.3, 0.0, 0.19))
-        for k in range(6):
-            touchdown.step(drifting, None, LandedState.IN_AIR, now_s + k * CYCLE_S)
+        touchdown.cycles([sight(0.06, LEG_M + 0.2, velocity=(0.3, 0.0, 0.19))] * 6)
         committed.append(touchdown.committed)
     assert committed == [False, True]
 
 
-def test_the_most_patient_of_tries_goes_on_from_no_farther_aside_than_twelve_centimetres() -> None:
-    for aside, goes_on in ((0.115, True), (0.125, False)):
-        touchdown = fresh(tolerance_scale=2.0)
-        wait(touchdown, sight(), 5.0)
-        for k in range(6):
-            touchdown.step(sight(aside, LEG_M + 0.2), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
-        assert touchdown.committed is goes_on
+WIDE = TouchdownConfig(lateral_m=0.2, break_off_lateral_m=0.25, escape_lateral_m=0.5)
+
+
+@pytest.mark.parametrize(
+    ("config", "tolerance_scale", "aside", "goes_on"),
+    [
+        pytest.param(CONFIG, 2.0, 0.115, True, id="the most patient try"),
+        pytest.param(CONFIG, 2.0, 0.125, False, id="not beyond 12 cm"),
+        pytest.param(WIDE, 1.0, 0.24, True, id="a larger pad"),
+        pytest.param(WIDE, 1.0, 0.26, False, id="not beyond its 25 cm"),
+    ],
+)
+def test_how_far_aside_it_goes_on_down(
+    config: TouchdownConfig, tolerance_scale: float, aside: float, goes_on: bool
+) -> None:
+    touchdown = sinking(config=config, tolerance_scale=tolerance_scale)
+    touchdown.cycles([sight(aside, LEG_M + 0.2)] * 6)
+    assert touchdown.committed is goes_on
 
 
 def test_it_does_not_start_down_from_where_it_would_break_off() -> None:
@@ -187,16 +184,6 @@ def test_it_does_not_start_down_from_where_it_would_break_off() -> None:
     at, found = wait(touchdown, sight(0.13), 40.0)
     assert found is MissionEvent.MISALIGNED
     assert at == pytest.approx(CONFIG.giving_up_s, abs=0.08)
-
-
-@pytest.mark.parametrize(("aside", "goes_on"), [(0.24, True), (0.26, False)])
-def test_for_a_larger_pad_it_may_be_farther_aside(aside: float, goes_on: bool) -> None:
-    wide = TouchdownConfig(lateral_m=0.2, break_off_lateral_m=0.25, escape_lateral_m=0.5)
-    touchdown = fresh(config=wide)
-    wait(touchdown, sight(), 5.0)
-    for k in range(6):
-        touchdown.step(sight(aside, LEG_M + 0.2), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
-    assert touchdown.committed is goes_on
 
 
 def test_after_one_wait_a_lull_of_the_wind_is_taken() -> None:

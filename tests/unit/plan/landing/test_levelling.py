@@ -5,7 +5,6 @@ import math
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
-from companion.base.messages import LandedState, RangeSample
 from companion.plan.events import MissionEvent
 from companion.plan.landing.contact import RESPONDS_S
 from companion.plan.landing.levelling import AFTER_S, CONTACT_STD_M, Levelling, TiltPrediction
@@ -24,6 +23,8 @@ from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 # the leg height is told to 3 cm, and measured as well
 STD_M = math.hypot(0.03 / math.sqrt(2.0), CONTACT_STD_M)
 DROP_M = VEHICLE.foot_reach_m * math.sin(math.radians(CONFIG.contact_tilt_deg))  # of the lower foot
+LEVEL_M_S2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
+SINKS: Vector3 = (0.0, 0.0, CONFIG.contact_speed_m_s)
 
 
 def lead_after(excess_m_s2: float) -> float:
@@ -41,23 +42,19 @@ def levelling(tilt_m_s2: float) -> Attempt:
     waited(touchdown, 0.0, 0.0, 0.5)
     for now_s in (0.5, 10.0):  # so long that the smoothed tilt is there
         touchdown.note_tilt(tilting(tilt_m_s2), now_s)
-    touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, 1.0)
+    touchdown.step(sight(height=LEG_M + 0.3), 1.0)
     return touchdown
 
 
 def test_it_levels_off_shortly_before_the_contact_and_not_earlier() -> None:
     touchdown = levelling(0.0)
-    sink_m_s, level = CONFIG.contact_speed_m_s, None
+    sink_m_s = CONFIG.contact_speed_m_s
     due_s = 1.0 + (0.3 - DROP_M) / sink_m_s  # low on one side
-    for k in range(60):
-        now_s = 1.0 + k * CYCLE_S
-        height_m = LEG_M + 0.3 - sink_m_s * (now_s - 1.0)
-        down = sight(height=height_m, velocity=(0.0, 0.0, sink_m_s))
-        touchdown.step(down, None, LandedState.IN_AIR, now_s)
+    while not touchdown.levels_off and touchdown.now_s < 3.0:
+        height_m = LEG_M + 0.3 - sink_m_s * (touchdown.now_s + CYCLE_S - 1.0)
+        touchdown.cycles([sight(height=height_m, velocity=SINKS)])
         level = touchdown.level_off()
-        assert touchdown.levels_off == (now_s >= due_s - LEAD_S)
-        if touchdown.levels_off:
-            break
+        assert touchdown.levels_off == (touchdown.now_s >= due_s - LEAD_S)
     assert level is not None
     assert level.from_s == pytest.approx(due_s - LEAD_S, abs=CYCLE_S)
     assert level.until_s == pytest.approx(due_s + AFTER_S, abs=CYCLE_S)
@@ -74,7 +71,7 @@ def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unsee
         over_m = 0.3 - sink_m_s * (now_s - 1.0)
         seen_s = now_s if over_m >= unseen_from_m else seen_s
         down = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, sink_m_s), age=now_s - seen_s)
-        assert touchdown.step(down, None, LandedState.IN_AIR, now_s) is None
+        assert touchdown.step(down, now_s) is None
         level = touchdown.level_off()
         assert touchdown.levels_off == (now_s >= due_s - LEAD_S)
         if touchdown.levels_off and level is not None:
@@ -84,20 +81,16 @@ def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unsee
 
 
 @pytest.mark.parametrize(
-    ("tilt_deg", "lead_s"),
+    ("tilt_deg", "excess_m_s2"),
     # the tilt has to fall to 7 deg, at 8 m/s3
-    [
-        (0.0, LEAD_S),
-        (20.0, lead_after(9.81 * (math.tan(math.radians(20.0)) - math.tan(math.radians(7.0))))),
-    ],
+    [(0.0, 0.0), (20.0, 9.81 * (math.tan(math.radians(20.0)) - math.tan(math.radians(7.0))))],
 )
-def test_tilting_far_it_begins_to_level_off_sooner(tilt_deg: float, lead_s: float) -> None:
-    above_m = DROP_M + lead_s * 0.2
+def test_tilting_far_it_begins_to_level_off_sooner(tilt_deg: float, excess_m_s2: float) -> None:
+    above_m = DROP_M + lead_after(excess_m_s2) * 0.2
     for over_m, levels in ((above_m + 0.004, False), (above_m - 0.004, True)):
         touchdown = levelling(0.0)
         touchdown.note_tilt(quat_from_euler(math.radians(tilt_deg), 0.0, 0.0), 1.0)
-        near = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.2))
-        touchdown.step(near, None, LandedState.IN_AIR, 1.0)
+        touchdown.step(sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.2)), 1.0)
         assert touchdown.levels_off == levels
 
 
@@ -107,18 +100,14 @@ def test_tilting_far_it_begins_to_level_off_sooner(tilt_deg: float, lead_s: floa
     [(-1.0, 0.19), (0.4, 0.19), (0.6, 0.6 * 2.0 * STD_M / 0.12), (0.85, 0.32)],
 )
 def test_the_more_tilt_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float, sink_m_s: float) -> None:
-    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
-    touchdown = levelling(max(0.0, level_m_s2 + excess_m_s2))
-    for k in range(12):
-        now_s = 1.0 + k * CYCLE_S
-        low = sight(height=LEG_M + 0.06, velocity=(0.0, 0.0, CONFIG.contact_speed_m_s))
-        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+    touchdown = levelling(max(0.0, LEVEL_M_S2 + excess_m_s2))
+    touchdown.cycles([sight(height=LEG_M + 0.06, velocity=SINKS)] * 12)
     assert touchdown.levels_off
-    assert touchdown._generator.at(now_s).velocity_m_s[2] == pytest.approx(sink_m_s, abs=1e-3)
+    speed_m_s = touchdown.reference.at(touchdown.now_s).velocity_m_s[2]
+    assert speed_m_s == pytest.approx(sink_m_s, abs=1e-3)
 
 
 def test_a_tilt_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts() -> None:
-    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
     # 0.24 m/s of drift in the time by which a contact at 0.32 m/s may be late
     most_m_s2 = 0.24 * 0.32 / (2.0 * STD_M)
     for excess_m_s2, breaks_off in ((0.95 * most_m_s2, False), (1.05 * most_m_s2, True)):
@@ -126,28 +115,24 @@ def test_a_tilt_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts(
         waited(touchdown, 0.0, 0.0, 0.5)
         assert touchdown.committed
         late_s = 5.0 * CONFIG.gentle_wait_s
-        touchdown.note_tilt(tilting(level_m_s2 + excess_m_s2), late_s)
+        touchdown.note_tilt(tilting(LEVEL_M_S2 + excess_m_s2), late_s)
         touchdown._sequence._contact_due_s = late_s
-        touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, late_s)
+        touchdown.step(sight(height=LEG_M + 0.3), late_s)
         assert (touchdown.broken_off_by == "too much tilt at contact") == breaks_off
-
-
-SINKS: Vector3 = (0.0, 0.0, CONFIG.contact_speed_m_s)
 
 
 @pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
 def test_shortly_before_it_levels_off_it_says_so_and_a_gust_is_met_by_a_little_more_tilt_at_most(
     needed_m_s2: float,
 ) -> None:
-    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
     for over_m, near in ((0.25, False), (0.14, True)):
         touchdown = levelling(needed_m_s2)
-        touchdown.step(sight(height=LEG_M + over_m, velocity=SINKS), None, LandedState.IN_AIR, 1.0)
+        touchdown.step(sight(height=LEG_M + over_m, velocity=SINKS), 1.0)
         assert not touchdown.levels_off
         bound = touchdown.level_off()
         assert (bound is not None) == near
     assert bound is not None
-    assert GRAVITY_M_S2 * math.tan(bound.before_rad) == pytest.approx(max(level_m_s2, needed_m_s2 + 0.6))
+    assert GRAVITY_M_S2 * math.tan(bound.before_rad) == pytest.approx(max(LEVEL_M_S2, needed_m_s2 + 0.6))
     assert bound.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
     assert 1.0 < bound.from_s < bound.until_s  # and the controller knows when it will
 
@@ -155,7 +140,7 @@ def test_shortly_before_it_levels_off_it_says_so_and_a_gust_is_met_by_a_little_m
 def test_it_is_not_told_of_a_contact_that_a_vehicle_held_up_will_not_make() -> None:
     touchdown = levelling(2.0)
     held_up = sight(height=LEG_M + 0.14, velocity=(0.0, 0.0, 0.0))
-    touchdown.step(held_up, None, LandedState.IN_AIR, 1.0)
+    touchdown.step(held_up, 1.0)
     bound = touchdown.level_off()
     assert not touchdown.levels_off
     assert bound is not None
@@ -163,24 +148,20 @@ def test_it_is_not_told_of_a_contact_that_a_vehicle_held_up_will_not_make() -> N
     assert GRAVITY_M_S2 * math.tan(bound.before_rad) == pytest.approx(2.6)
 
 
-@pytest.mark.parametrize(("excess_m_s2", "longer_s"), [(0.0, 0.95), (0.5, 0.24), (0.8, 0.15)])
+@pytest.mark.parametrize(
+    ("excess_m_s2", "longer_s", "abs_s"), [(0.0, 0.95, 0.15), (0.5, 0.24, 1e-3), (0.8, 0.15, 1e-3)]
+)
 def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
-    excess_m_s2: float, longer_s: float
+    excess_m_s2: float, longer_s: float, abs_s: float
 ) -> None:
-    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
-    touchdown = levelling(level_m_s2 + excess_m_s2)
-    near = sight(height=LEG_M + 0.065, velocity=(0.0, 0.0, 0.4))
-    now_s = 1.0
-    for _ in range(34):  # 6.5 cm up all the time
-        touchdown.step(near, None, LandedState.IN_AIR, now_s)
-        now_s += CYCLE_S
+    touchdown = levelling(LEVEL_M_S2 + excess_m_s2)
+    touchdown.now_s = 1.0 - CYCLE_S
+    touchdown.cycles([sight(height=LEG_M + 0.065, velocity=(0.0, 0.0, 0.4))] * 34)  # 6.5 cm up all the time
     level = touchdown.level_off()
     assert level is not None
     assert level.from_s == pytest.approx(1.0)
-    lead_s = lead_after(excess_m_s2)
-    assert level.until_s - level.from_s - lead_s - AFTER_S == pytest.approx(
-        longer_s, abs=0.15 if longer_s > 0.5 else 1e-3
-    )
+    leads_s = lead_after(excess_m_s2) + AFTER_S
+    assert level.until_s - level.from_s - leads_s == pytest.approx(longer_s, abs=abs_s)
 
 
 @pytest.mark.parametrize(
@@ -190,20 +171,16 @@ def test_so_low_that_a_tilt_would_touch_it_stays_level_unless_it_drifts_fast(
     over_m: float, speed_m_s: float, stays: bool
 ) -> None:
     touchdown = levelling(GRAVITY_M_S2 * math.tan(math.radians(11.0)))  # a foot hangs 3.4 cm lower
-    for k in range(34):  # the sink stalls
-        now_s = 1.0 + k * CYCLE_S
-        low = sight(height=LEG_M + over_m, velocity=(speed_m_s, 0.0, 0.16))
-        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+    touchdown.cycles([sight(height=LEG_M + over_m, velocity=(speed_m_s, 0.0, 0.16))] * 33)  # the sink stalls
     level = touchdown.level_off()
     assert level is not None
-    assert (level.until_s > now_s + LEAD_S) == stays
+    assert (level.until_s > touchdown.now_s + LEAD_S) == stays
 
 
 def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:
     touchdown = levelling(0.0)
     for now_s, sink_m_s in ((1.0, CONFIG.contact_speed_m_s), (1.3, 0.1)):
-        near = sight(height=LEG_M + 0.06, velocity=(0.0, 0.0, sink_m_s))
-        touchdown.step(near, None, LandedState.IN_AIR, now_s)
+        touchdown.step(sight(height=LEG_M + 0.06, velocity=(0.0, 0.0, sink_m_s)), now_s)
     level = touchdown.level_off()
     assert level is not None
     assert level.from_s == pytest.approx(1.0)
@@ -212,15 +189,11 @@ def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:
 
 def test_while_contact_is_made_sure_of_it_stays_level() -> None:
     touchdown = levelling(0.0)
-    down = sight(height=LEG_M)
-    for k in range(30):
-        now_s = 1.0 + k * CYCLE_S
-        touchdown.step(down, RangeSample(now_s, LEG_M - 0.08), LandedState.IN_AIR, now_s)
+    while not touchdown.cycles([sight(height=LEG_M)], echo_m=LEG_M - 0.08):
         level = touchdown.level_off()
-        if touchdown.on_pad:
-            break
         assert level is not None
-        assert level.until_s > now_s + 0.1
+        assert touchdown.now_s + 0.1 < level.until_s
+        assert touchdown.now_s < 2.0
     assert touchdown.on_pad
 
 
@@ -240,14 +213,13 @@ def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
     assert level.until_s > now_s + 0.1
 
 
-def test_tilting_back_from_far_aside_a_low_foot_is_no_contact() -> None:
-    for aside_m, found in ((0.25, MissionEvent.MISALIGNED), (0.08, MissionEvent.CONTACT)):
-        touchdown, finding = sinking(), None
+@pytest.mark.parametrize(
+    ("aside_m", "found"), [(0.25, MissionEvent.MISALIGNED), (0.08, MissionEvent.CONTACT)]
+)
+def test_tilting_back_from_far_aside_a_low_foot_is_no_contact(aside_m: float, found: MissionEvent) -> None:
+    touchdown, events = sinking(), list[MissionEvent]()
+    for k in range(12):
+        touchdown.note_tilt(quat_from_euler(math.radians(12.0), 0.0, 0.0), 1.0 + k * CYCLE_S)
         low = sight(aside_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.05))
-        for k in range(12):
-            now_s = 1.0 + k * CYCLE_S
-            touchdown.note_tilt(quat_from_euler(math.radians(12.0), 0.0, 0.0), now_s)
-            echo = RangeSample(now_s, LEG_M + 0.05 - VEHICLE.range_position_body_m[2])
-            finding = finding or touchdown.step(low, echo, LandedState.IN_AIR, now_s)
-        assert finding is not None
-        assert finding[0] is found
+        events += touchdown.cycles([low], echo_m=LEG_M + 0.05 - VEHICLE.range_position_body_m[2])
+    assert events[0] is found

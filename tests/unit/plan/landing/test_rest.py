@@ -20,11 +20,7 @@ Seen = Callable[[float], PadState | None]
 
 
 def rests_at_s(
-    seen: Seen,
-    falls: Callable[[float], bool] = lambda _t: False,
-    *,
-    felt: bool = True,
-    silent_s: float = 0.0,
+    seen: Seen, falls: Callable[[float], bool] = lambda _t: False, *, felt: bool = True, silent_s: float = 0.0
 ) -> float:
     """When standing since 0 s is proven by rest; inf when not within 5 s."""
     standing = LandDetector(TouchdownConfig(), VEHICLE, 0.0)

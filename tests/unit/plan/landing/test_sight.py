@@ -106,9 +106,7 @@ def test_what_is_known_of_the_pad_outlives_a_cycle_without_an_estimate() -> None
 def test_a_heading_that_is_off_the_pad_s_is_told(off_deg: float, rate_deg_s: float, words: str) -> None:
     vehicle = vehicle_state(0.0, attitude=quat_from_euler(0.0, 0.0, 0.5))
     turned = replace(
-        pad(),
-        heading_rad=0.5 + math.radians(off_deg),
-        heading_rate_rad_s=math.radians(rate_deg_s),
+        pad(), heading_rad=0.5 + math.radians(off_deg), heading_rate_rad_s=math.radians(rate_deg_s)
     )
     assert misaligned_heading(turned, vehicle) == words
     assert misaligned_heading(None, vehicle) == ""

@@ -6,50 +6,24 @@ from dataclasses import replace
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2
-from companion.base.messages import (
-    AutopilotState,
-    LandedState,
-    LinkHealth,
-    PadState,
-    RangeSample,
-)
+from companion.base.messages import AutopilotState, LandedState, LinkHealth, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
 from companion.plan.events import MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import contact_signs
 from companion.plan.mission.states import State
-from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.control.controller_inputs import vehicle_state
-from tests.unit.plan.landing.touchdown_attempt import (
-    CONFIG,
-    CYCLE_S,
-    WAIT_M,
-    Attempt,
-    sight,
-    sinking,
-)
+from tests.unit.plan.landing.touchdown_attempt import CONFIG, CYCLE_S, WAIT_M, sight, sinking, standing
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 SINKING = Motion((0.0, 0.0, -LEG_M + 0.1), (0.0, 0.0, 0.22))
 
 
-def standing() -> tuple[Attempt, float]:
-    """On the pad, and since when (s)."""
-    touchdown, now_s = sinking(), 1.0
-    while not touchdown.on_pad and now_s < 2.0:
-        now_s += CYCLE_S
-        touchdown.step(sight(height=0.19), RangeSample(now_s, 0.1), LandedState.IN_AIR, now_s)
-    assert touchdown.on_pad
-    return touchdown, now_s
-
-
 def test_half_a_second_of_blindness_on_the_final_descent_is_borne_and_two_are_not() -> None:
     touchdown = sinking()
-    assert touchdown.step(sight(height=0.4, age=1.4), None, LandedState.IN_AIR, 1.0) is None
-    found = touchdown.step(sight(height=0.4, age=1.6), None, LandedState.IN_AIR, 1.1)
-    assert found is not None
-    assert found[0] is MissionEvent.PAD_LOST
+    assert touchdown.cycles([sight(height=0.4, age=1.4)]) == []
+    assert touchdown.cycles([sight(height=0.4, age=1.6)]) == [MissionEvent.PAD_LOST]
 
 
 @pytest.mark.parametrize(
@@ -58,52 +32,50 @@ def test_half_a_second_of_blindness_on_the_final_descent_is_borne_and_two_are_no
 def test_what_nothing_felt_sink_may_be_lower_than_predicted_and_its_feet_down(
     imu_age_s: float, high_m: float, down: bool
 ) -> None:
-    touchdown, now_s = sinking(), 1.0
-    for _ in range(12):
-        now_s += CYCLE_S
-        touchdown.step(
-            sight(height=LEG_M + high_m, age=1.0),
-            RangeSample(now_s, 0.1),
-            LandedState.IN_AIR,
-            now_s,
-            vehicle=vehicle_state(now_s, imu_age_s=imu_age_s),
-        )
-    assert touchdown.feet_down(now_s) is down
+    touchdown = sinking()
+    touchdown.cycles([sight(height=LEG_M + high_m, age=1.0)] * 13, echo_m=0.1, imu_age_s=imu_age_s)
+    assert touchdown.feet_down(touchdown.now_s) is down
 
 
-def test_far_aside_on_the_final_descent_it_climbs_while_still_high_only() -> None:
-    high = sinking().step(sight(aside=0.19, height=0.4), None, LandedState.IN_AIR, 1.0)
-    assert high is not None
-    assert high[0] is MissionEvent.MISALIGNED
-    assert sinking().step(sight(aside=0.17, height=0.4), None, LandedState.IN_AIR, 1.0) is None
-    assert sinking().step(sight(aside=0.19, height=0.21), None, LandedState.IN_AIR, 1.0) is None
+@pytest.mark.parametrize(
+    ("aside", "height", "climbs"), [(0.19, 0.4, True), (0.17, 0.4, False), (0.19, 0.21, False)]
+)
+def test_far_aside_on_the_final_descent_it_climbs_while_still_high_only(
+    aside: float, height: float, climbs: bool
+) -> None:
+    assert sinking().cycles([sight(aside, height)]) == [MissionEvent.MISALIGNED] * climbs
 
 
-def test_a_pad_that_stops_beneath_it_is_left_at_once_even_when_the_feet_touch() -> None:
-    fast = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0))
-    slow = sight(aside=0.05, height=0.2, velocity=(0.45, 0.0, 0.0))
-    unseen = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0), age=1.4)  # as of one second
-    found = sinking().step(fast, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0)
-    assert found == (MissionEvent.MISALIGNED, "sliding over the pad at 1.4 m/s")
-    unsure = replace(fast, velocity_std_m_s=2.0)  # the filter has just started
-    high = sight(
-        aside=0.05, height=0.4, velocity=(1.4, 0.0, 0.0)
-    )  # there it breaks off, once that has lasted
-    for stays in (slow, unseen, unsure, high):
-        assert sinking().step(stays, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0) is None
+SLIDES = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("seen", "half_width_m", "leaves"),
+    [
+        pytest.param(SLIDES, 0.2, True, id="slides"),
+        pytest.param(sight(aside=0.05, height=0.2, velocity=(0.45, 0.0, 0.0)), 0.2, False, id="slow"),
+        pytest.param(replace(SLIDES, seen_time_s=-1.4), 0.2, False, id="unseen for a second"),
+        pytest.param(replace(SLIDES, velocity_std_m_s=2.0), 0.2, False, id="the filter has just started"),
+        # there it breaks off, once that has lasted
+        pytest.param(sight(aside=0.05, height=0.4, velocity=(1.4, 0.0, 0.0)), 0.2, False, id="high"),
+        # 1.4 m/s are stopped within 0.33 m: beyond the tolerance, but not beyond a large pad's edge
+        pytest.param(SLIDES, 0.65, False, id="friction ends it on the pad"),
+    ],
+)
+def test_a_pad_that_stops_beneath_it_is_left_at_once_even_when_the_feet_touch(
+    seen: PadState, half_width_m: float, leaves: bool
+) -> None:
+    found = sinking(half_width_m=half_width_m).step(seen, 1.0, echo_m=0.1)
+    assert found == ((MissionEvent.MISALIGNED, "sliding over the pad at 1.4 m/s") if leaves else None)
 
 
 def test_a_vehicle_that_slides_rises_from_where_it_is_and_level() -> None:
     """The reference has run on below the pad: a climb from there would first press the feet down."""
-    touchdown, now_s = sinking(), 1.0
-    slides = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0))
-    while touchdown.reference.at(now_s).position_m[2] < -0.15:
-        now_s += CYCLE_S
-        assert (
-            touchdown.step(sight(height=0.2, velocity=(0.0, 0.0, 0.2)), None, LandedState.IN_AIR, now_s)
-            is None
-        )
-    assert touchdown.step(slides, None, LandedState.IN_AIR, now_s) is not None
+    touchdown = sinking()
+    while touchdown.reference.at(touchdown.now_s).position_m[2] < -0.15:
+        assert touchdown.cycles([sight(height=0.2, velocity=(0.0, 0.0, 0.2))]) == []
+    now_s = touchdown.now_s
+    assert touchdown.step(SLIDES, now_s) is not None
     assert touchdown.reference.at(now_s).position_m == pytest.approx((0.05, 0.0, -0.2))
     assert touchdown.reference.at(now_s + 0.3).velocity_m_s[2] == pytest.approx(-0.3)
     level = touchdown.level_off()
@@ -113,42 +85,31 @@ def test_a_vehicle_that_slides_rises_from_where_it_is_and_level() -> None:
 
 def test_a_vehicle_that_the_contact_stopped_does_not_slide_until_sightings_show_it() -> None:
     """The last sighting, before the contact, saw the pad at rest beneath it; the IMU felt 1.4 m/s less."""
-    stopped = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0), age=0.07)
-    stopped = replace(stopped, seen_velocity_ned_m_s=(0.02, 0.0, 0.0))
-    assert sinking().step(stopped, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0) is None
-    touchdown, now_s = standing()
-    assert touchdown.step(stopped, None, LandedState.IN_AIR, now_s + 0.1) is None
+    stopped = replace(SLIDES, seen_time_s=-0.07, seen_velocity_ned_m_s=(0.02, 0.0, 0.0))
+    assert sinking().step(stopped, 1.0, echo_m=0.1) is None
+    touchdown = standing()
+    assert touchdown.step(stopped, touchdown.now_s + 0.1) is None
 
 
-@pytest.mark.parametrize(("half_width_m", "leaves"), [(0.2, True), (0.65, False)])
-def test_a_slide_that_friction_ends_on_the_pad_is_no_reason_to_rise(
-    half_width_m: float, leaves: bool
-) -> None:
-    """1.4 m/s are stopped within 0.33 m: beyond the tolerance, but not beyond a large pad's edge."""
-    slides = sight(aside=0.04, height=0.2, velocity=(1.4, 0.0, 0.0))
-    found = sinking(half_width_m).step(slides, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0)
-    assert (found is not None) == leaves
+def position_covariance(std_m: float) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(std_m**2 if row == column else 0.0 for column in range(6)) for row in range(6))
 
 
 @pytest.mark.parametrize(("std_m", "breaks_off"), [(0.001, True), (0.03, False)])
 def test_an_offset_that_may_be_the_estimates_own_noise_breaks_nothing_off(
     std_m: float, breaks_off: bool
 ) -> None:
-    P = tuple(tuple(std_m**2 if i == j else 0.0 for j in range(6)) for i in range(6))
-    touchdown, now_s = sinking(), 1.0
-    seen = replace(sight(aside=0.09, height=0.4), covariance=P)
-    for _ in range(6):
-        now_s += CYCLE_S
-        touchdown.step(seen, None, LandedState.IN_AIR, now_s)
+    touchdown = sinking()
+    touchdown.cycles([replace(sight(aside=0.09, height=0.4), covariance=position_covariance(std_m))] * 7)
     assert bool(touchdown.broken_off_by) == breaks_off
 
 
 @pytest.mark.parametrize(("since_s", "leaves"), [(0.1, True), (0.4, False)])
 def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leaves: bool) -> None:
-    touchdown, now_s = standing()
+    touchdown = standing()
+    touchdown.now_s += since_s - CYCLE_S
     fast = sight(height=0.2, velocity=(1.4, 0.0, 0.0))
-    found = touchdown.step(fast, None, LandedState.IN_AIR, now_s + since_s)
-    assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
+    assert touchdown.cycles([fast]) == [MissionEvent.OFF_PAD] * leaves
 
 
 @pytest.mark.parametrize(
@@ -169,19 +130,9 @@ def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leave
 def test_a_silent_autopilot_that_lifts_it_off_the_pad_is_not_pressed_down(
     silent_s: float, echo_m: float | None, age_s: float, imu_age_s: float, leaves: bool
 ) -> None:
-    touchdown, now_s = standing()
-    found = None
-    for _ in range(15):
-        now_s += CYCLE_S
-        found = found or touchdown.step(
-            sight(height=0.19, age=age_s),
-            None if echo_m is None else RangeSample(now_s, echo_m),
-            LandedState.IN_AIR,
-            now_s,
-            silent_s=silent_s,
-            vehicle=vehicle_state(now_s, imu_age_s=imu_age_s),
-        )
-    assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
+    given = {"echo_m": echo_m, "silent_s": silent_s, "imu_age_s": imu_age_s}
+    found = standing().cycles([sight(height=0.19, age=age_s)] * 15, **given)
+    assert (found[:1] == [MissionEvent.OFF_PAD]) == leaves
 
 
 @pytest.mark.parametrize(
@@ -199,32 +150,21 @@ def test_what_the_camera_sees_of_the_feet_counts_while_our_setpoints_may_not_arr
     silent_s: float, risen_m: float, std_m: float, speed_m_s: float, leaves: bool
 ) -> None:
     """Pressed down again from a centimetre or two it falls with 0.5 m/s, before an echo shows it lifted."""
-    touchdown, now_s = standing()
-    covariance = tuple(tuple(std_m**2 if row == column else 0.0 for column in range(6)) for row in range(6))
-    found = None
-    for k in range(25):
-        now_s += CYCLE_S
-        later = k >= 15
-        seen = sight(height=0.19 + later * risen_m, velocity=(later * speed_m_s, 0.0, 0.0))
-        found = found or touchdown.step(
-            replace(seen, covariance=covariance),
-            RangeSample(now_s, 0.1),
-            LandedState.IN_AIR,
-            now_s,
-            silent_s=later * silent_s,
-            vehicle=vehicle_state(now_s),
-        )
-    assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
+    touchdown = standing()
+    stands, later = (
+        replace(sight(height=height, velocity=(speed, 0.0, 0.0)), covariance=position_covariance(std_m))
+        for height, speed in ((0.19, 0.0), (0.19 + risen_m, speed_m_s))
+    )
+    found = touchdown.cycles([stands] * 15, echo_m=0.1, imu_age_s=0.0)
+    found += touchdown.cycles([later] * 10, echo_m=0.1, imu_age_s=0.0, silent_s=silent_s)
+    assert (found[:1] == [MissionEvent.OFF_PAD]) == leaves
 
 
 @pytest.mark.parametrize(("risen_m", "leaves"), [(0.0, False), (0.03, True)])
 def test_a_deck_that_rocks_under_the_feet_lifts_nothing(risen_m: float, leaves: bool) -> None:
     """18 cm beside the middle of a deck that rolls by 8 deg the height over the middle swings by 2.5 cm."""
-    touchdown, now_s = standing()
-    covariance = tuple(tuple(1e-6 if row == column else 0.0 for column in range(6)) for row in range(6))
-    found: list[MissionEvent] = []
+    touchdown, found = standing(), list[MissionEvent]()
     for k in range(120):
-        now_s += CYCLE_S
         roll = math.radians(8.0) * math.sin(math.tau * k * CYCLE_S / 4.0)
         over_m, aside_m = 0.19 + (k >= 60) * risen_m, 0.18
         normal, along = (math.sin(roll), math.cos(roll)), (math.cos(roll), -math.sin(roll))
@@ -233,17 +173,9 @@ def test_a_deck_that_rocks_under_the_feet_lifts_nothing(risen_m: float, leaves: 
             sight(),
             relative_position_ned_m=(0.0, east, down),
             tilt_rad=(0.0, normal[0]),
-            covariance=covariance,
+            covariance=position_covariance(1e-3),
         )
-        event = touchdown.step(
-            seen,
-            RangeSample(now_s, 0.1),
-            LandedState.IN_AIR,
-            now_s,
-            silent_s=0.5 * (k >= 15),
-            vehicle=vehicle_state(now_s),
-        )
-        found += [] if event is None else [event[0]]
+        found += touchdown.cycles([seen], echo_m=0.1, silent_s=0.5 * (k >= 15), imu_age_s=0.0)
     assert (MissionEvent.OFF_PAD in found) == leaves
 
 
@@ -251,36 +183,23 @@ def test_a_deck_that_rocks_under_the_feet_lifts_nothing(risen_m: float, leaves: 
 def test_after_a_silence_the_feet_have_to_be_seen_down_until_rest_is_proven(
     after_s: float, leaves: bool
 ) -> None:
-    touchdown, now_s = standing()
-    found: list[MissionEvent] = []
+    touchdown, found = standing(), list[MissionEvent]()
     # it is seen down until the silence ends: the pad drives away while the first setpoints arrive again
-    for silent_s, steps, seen in ((1.0, 10, True), (0.0, round(after_s / CYCLE_S), True), (0.0, 15, False)):
-        for _ in range(steps):
-            now_s += CYCLE_S
-            event = touchdown.step(
-                sight(height=0.19, age=0.0 if seen else 9.0),
-                RangeSample(now_s, 0.1),
-                LandedState.IN_AIR,
-                now_s,
-                silent_s=silent_s,
-                vehicle=vehicle_state(now_s),
-            )
-            found += [] if event is None else [event[0]]
+    for silent_s, steps, age_s in ((1.0, 10, 0.0), (0.0, round(after_s / CYCLE_S), 0.0), (0.0, 15, 9.0)):
+        seen = [sight(height=0.19, age=age_s)] * steps
+        found += touchdown.cycles(seen, echo_m=0.1, silent_s=silent_s, imu_age_s=0.0)
     assert (MissionEvent.OFF_PAD in found) == leaves
     assert (MissionEvent.AT_REST in found) != leaves
 
 
 def test_off_the_pad_it_rises_level_and_ever_again_from_where_a_silent_autopilot_has_it() -> None:
-    touchdown, now_s = standing()
-    generator, event = touchdown._generator, None
-    while event is None and now_s < 5.0:
-        now_s += CYCLE_S
+    touchdown, found = standing(), list[MissionEvent]()
+    generator = touchdown.reference
+    while not found and touchdown.now_s < 5.0:
         moved = sight(height=0.19, age=9.0, velocity=(0.5, 0.0, 0.0))
-        event = touchdown.step(
-            moved, None, LandedState.IN_AIR, now_s, silent_s=1.0, vehicle=vehicle_state(now_s)
-        )
-    assert event is not None
-    assert event[0] is MissionEvent.OFF_PAD
+        found = touchdown.cycles([moved], silent_s=1.0, imu_age_s=0.0)
+    assert found == [MissionEvent.OFF_PAD]
+    now_s = touchdown.now_s
     assert generator.at(now_s + 0.3).velocity_m_s == pytest.approx((0.0, 0.0, -0.3))
     for silent_s, height_m in ((1.0, 0.21), (1.0, 0.2), (0.0, 0.3)):
         level = touchdown.level_off()
@@ -304,19 +223,12 @@ def test_an_echo_proves_no_rest_to_a_silent_link_unless_the_autopilot_has_landed
     silent_s: float, landed: bool
 ) -> None:
     """Pressed down by nobody it may float a centimetre over the pad, whatever we command."""
-    touchdown, now_s = standing()
-    found: list[MissionEvent] = []
-    for k in range(60):
-        now_s += CYCLE_S
-        event = touchdown.step(
-            sight(height=0.19, age=0.0 if k < 5 else 9.0),
-            RangeSample(now_s, 0.1),
-            LandedState.ON_GROUND if landed else LandedState.IN_AIR,
-            now_s,
-            silent_s=silent_s * (k >= 5),
-            vehicle=vehicle_state(now_s),
-        )
-        found += [] if event is None else [event[0]]
+    touchdown = standing()
+    given = {
+        "echo_m": 0.1, "imu_age_s": 0.0, "landed": LandedState.ON_GROUND if landed else LandedState.IN_AIR
+    }  # fmt: skip
+    found = touchdown.cycles([sight(height=0.19)] * 5, **given)
+    found += touchdown.cycles([sight(height=0.19, age=9.0)] * 55, silent_s=silent_s, **given)
     assert (MissionEvent.OFF_PAD in found) == (silent_s > 0.0 and not landed)
     assert (MissionEvent.AT_REST in found) == (silent_s == 0.0)
     assert (MissionEvent.LANDING_DETECTED in found) == landed
@@ -324,66 +236,49 @@ def test_an_echo_proves_no_rest_to_a_silent_link_unless_the_autopilot_has_landed
 
 def test_without_its_imu_and_unheard_it_is_not_pressed_down_until_it_is_seen() -> None:
     """All comes by the link: nothing shows that it left the pad, and nothing that it stands."""
-    touchdown, now_s = standing()
-    unconfirmed = []
-    for silent_s, imu_age_s in ((0.0, 0.0), (0.5, 0.5), (0.0, 0.5)):
-        now_s += CYCLE_S
-        step = sight(height=0.19, age=9.0), None, LandedState.IN_AIR, now_s
-        touchdown.step(*step, silent_s=silent_s, vehicle=vehicle_state(now_s, imu_age_s=imu_age_s))
+    touchdown, unconfirmed = standing(), []
+    for age_s, silent_s, imu_age_s in ((9.0, 0.0, 0.0), (9.0, 0.5, 0.5), (9.0, 0.0, 0.5), (0.0, 0.0, 0.0)):
+        touchdown.cycles([sight(height=0.19, age=age_s)], silent_s=silent_s, imu_age_s=imu_age_s)
         unconfirmed.append(touchdown.unconfirmed)
-    seen = sight(height=0.19), None, LandedState.IN_AIR, now_s + CYCLE_S
-    touchdown.step(*seen, vehicle=vehicle_state(now_s))
-    assert [*unconfirmed, touchdown.unconfirmed] == [False, True, True, False]
+    assert unconfirmed == [False, True, True, False]
 
 
 @pytest.mark.parametrize(
-    ("silent_s", "over_m", "stands"),
-    [(0.0, 0.05, True), (0.5, 0.05, False), (0.5, 0.01, True)],
+    ("silent_s", "over_m", "stands"), [(0.0, 0.05, True), (0.5, 0.05, False), (0.5, 0.01, True)]
 )
 def test_what_stops_over_the_pad_unheard_is_held_by_the_autopilot(
     silent_s: float, over_m: float, stands: bool
 ) -> None:
     """Heard, what does not sink though it is asked to stands on legs longer than the file's."""
-    touchdown, now_s = sinking(), 1.0
-    for _ in range(40):
-        now_s += CYCLE_S
-        still = sight(height=LEG_M + over_m)
-        echo = RangeSample(now_s, 0.1)  # one that would show it down
-        touchdown.step(
-            still, echo, LandedState.IN_AIR, now_s, silent_s=silent_s, vehicle=vehicle_state(now_s)
-        )
-        if touchdown.on_pad:
-            break
+    touchdown, still = sinking(), sight(height=LEG_M + over_m)
+    while not touchdown.on_pad and touchdown.now_s < 2.3:
+        # the echo would show it down
+        touchdown.cycles([still], echo_m=0.1, silent_s=silent_s, imu_age_s=0.0)
     assert touchdown.on_pad == stands
 
 
+# 0.35 m at the contact's speed with a blend of 0.8 s, then the wait
+DUE_S = CONFIG.blend_s + 0.35 / CONFIG.contact_speed_m_s - 0.5 * CONFIG.blend_s
+MISSED_S = CONFIG.settled_s + DUE_S + CONFIG.overdue_s
+
+
 def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
-    touchdown = sinking()
-    found = None
-    k = 6
-    while found is None and k < 300:
-        k += 1
-        found = touchdown.step(sight(height=0.45), None, LandedState.IN_AIR, k * CYCLE_S)
-    assert found is not None
-    assert found[0] is MissionEvent.MISALIGNED
-    # 0.35 m at the contact's speed with a blend of 0.8 s, then the wait
-    speed_m_s = CONFIG.contact_speed_m_s
-    due_s = CONFIG.blend_s + (0.35 - 0.5 * CONFIG.blend_s * speed_m_s) / speed_m_s
-    assert k * CYCLE_S == pytest.approx(CONFIG.settled_s + due_s + CONFIG.overdue_s, abs=0.1)
+    touchdown, found = sinking(), list[MissionEvent]()
+    touchdown.now_s = 0.2
+    while not found and touchdown.now_s < 10.0:
+        found = touchdown.cycles([sight(height=0.45)])
+    assert found == [MissionEvent.MISALIGNED]
+    assert touchdown.now_s == pytest.approx(MISSED_S, abs=0.1)
 
 
 def test_a_contact_is_not_overdue_while_the_feet_may_stand() -> None:
     """Legs longer than told touch late: half a second before the miss they bear, a second shows it."""
-    touchdown, k, found = sinking(), 6, None
-    speed_m_s = CONFIG.contact_speed_m_s
-    due_s = CONFIG.blend_s + (0.35 - 0.5 * CONFIG.blend_s * speed_m_s) / speed_m_s
-    stands_s = CONFIG.settled_s + due_s + CONFIG.overdue_s - 0.5
-    while not touchdown.on_pad and k < 300:
-        k += 1
-        stands = k * CYCLE_S > stands_s
-        seen = sight(height=LEG_M + 0.08, velocity=(0.0, 0.0, 0.0 if stands else speed_m_s))
-        found = touchdown.step(seen, None, LandedState.IN_AIR, k * CYCLE_S)
-        assert found is None or found[0] is MissionEvent.CONTACT, found
+    touchdown = sinking()
+    touchdown.now_s = 0.2
+    while not touchdown.on_pad and touchdown.now_s < 10.0:
+        sink_m_s = 0.0 if touchdown.now_s + CYCLE_S > MISSED_S - 0.5 else CONFIG.contact_speed_m_s
+        found = touchdown.cycles([sight(height=LEG_M + 0.08, velocity=(0.0, 0.0, sink_m_s))])
+        assert set(found) <= {MissionEvent.CONTACT}
     assert touchdown.on_pad
 
 
@@ -444,17 +339,9 @@ def test_contact_is_felt_for_a_moment_whatever_the_heights_say() -> None:
     """Camera and echo say by the same leg height that the feet are down: 8 cm wrong, they are 8 cm up."""
     touchdown = sinking()
     sinks, stands = (sight(height=0.18, velocity=(0.0, 0.0, speed)) for speed in (0.2, 0.0))
-    for k in range(30):
-        now = 1.0 + k * CYCLE_S
-        assert touchdown.step(sinks, RangeSample(now, 0.1), LandedState.IN_AIR, now) is None
+    assert touchdown.cycles([sinks] * 30, echo_m=0.1) == []
     assert not touchdown.on_pad
-    for k in range(30, 40):
-        now = 1.0 + k * CYCLE_S
-        found = touchdown.step(stands, None, LandedState.IN_AIR, now)
-        if found:
-            break
-    assert found is not None
-    assert found[0] is MissionEvent.CONTACT
+    assert touchdown.cycles([stands] * 10) == [MissionEvent.CONTACT]
     assert touchdown.contact_s == pytest.approx(1.0 + 30 * CYCLE_S + CONFIG.contact_s, abs=0.05)
 
 
@@ -469,18 +356,15 @@ def test_feet_that_bounce_or_come_down_one_by_one_are_found_in_a_third_of_a_seco
     sinks_m_s: tuple[float, ...],
 ) -> None:
     touchdown = sinking()
-    for k, sink_m_s in enumerate(sinks_m_s):
-        seen = sight(height=LEG_M, velocity=(0.0, 0.0, sink_m_s))
-        touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    touchdown.cycles(sight(height=LEG_M, velocity=(0.0, 0.0, sink_m_s)) for sink_m_s in sinks_m_s)
     assert touchdown.on_pad
     assert touchdown.contact_s - 1.0 < 0.34
 
 
 def test_feet_that_may_stand_are_given_weight_and_a_vehicle_that_sinks_gets_its_thrust_back() -> None:
     touchdown, shares = sinking(), []
-    for k, sink_m_s in enumerate((0.2, 0.2, 0.0, 0.0, 0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0)):
-        seen = sight(height=LEG_M, velocity=(0.0, 0.0, sink_m_s))
-        touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    for sink_m_s in (0.2, 0.2, 0.0, 0.0, 0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0):
+        touchdown.cycles([sight(height=LEG_M, velocity=(0.0, 0.0, sink_m_s))])
         shares.append(touchdown.unloading)
     assert shares[1] == shares[6] == 0.0
     assert 0.0 < shares[2] < shares[3] < 1.0
@@ -492,65 +376,48 @@ def test_legs_longer_than_told_are_found_by_what_they_bear_though_the_heights_fl
     """Feet down at 3 cm more than the file says: an echo now and then says that they are."""
     touchdown = sinking()
     for k in range(18):
-        now = 1.0 + k * CYCLE_S
-        echo = RangeSample(now, 0.115 if k % 3 == 0 else 0.125)
-        touchdown.step(sight(height=LEG_M + 0.03), echo, LandedState.IN_AIR, now)
+        touchdown.cycles([sight(height=LEG_M + 0.03)], echo_m=0.115 if k % 3 == 0 else 0.125)
     assert touchdown.on_pad
     assert touchdown.contact_s - 1.0 < 0.5
 
 
-def test_held_up_over_the_pad_no_more_is_unloaded_than_makes_a_gentle_fall() -> None:
-    touchdown, over_m, most = sinking(), 0.08, 0.0
-    for k in range(round(0.9 / CYCLE_S)):
-        held = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.0))
-        touchdown.step(held, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
-        most = max(most, touchdown.unloading)
+@pytest.mark.parametrize("over_m", [0.08, 0.15])
+def test_held_up_over_the_pad_no_more_is_unloaded_than_makes_a_gentle_fall_and_high_up_nothing(
+    over_m: float,
+) -> None:
+    touchdown, shares = sinking(), []
+    for _ in range(round(0.9 / CYCLE_S) if over_m < 0.1 else 20):
+        touchdown.cycles([sight(height=LEG_M + over_m)])
+        shares.append(touchdown.unloading)
     falls_m = over_m - 0.03 / math.sqrt(2.0)  # the leg height is told and measured to 3 cm
-    assert most == pytest.approx(CONFIG.fastest_contact_m_s**2 / (2.0 * GRAVITY_M_S2 * falls_m))
+    gentle = CONFIG.fastest_contact_m_s**2 / (2.0 * GRAVITY_M_S2 * falls_m)
+    assert max(shares) == pytest.approx(gentle if over_m < 0.1 else 0.0)
 
 
-def test_high_over_the_pad_no_thrust_is_taken_away() -> None:
+@pytest.mark.parametrize(("over_m", "stands"), [(0.08, True), (0.2, False)])
+def test_what_sinks_no_more_for_a_second_stands_though_the_leg_height_is_too_low_in_its_file(
+    over_m: float, stands: bool
+) -> None:
     touchdown = sinking()
-    for k in range(20):
-        touchdown.step(sight(height=LEG_M + 0.15), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
-        assert touchdown.unloading == 0.0
-
-
-def test_what_sinks_no_more_for_a_second_stands_though_the_leg_height_is_too_low_in_its_file() -> None:
-    low, high = sinking(), sinking()
-    for k in range(round(CONFIG.land_after_s / CYCLE_S) + 2):
-        now = 1.0 + k * CYCLE_S
-        low.step(sight(height=LEG_M + 0.08), None, LandedState.IN_AIR, now)
-        high.step(sight(height=LEG_M + 0.2), None, LandedState.IN_AIR, now)
-    assert low.on_pad
-    assert not high.on_pad
+    touchdown.cycles([sight(height=LEG_M + over_m)] * (round(CONFIG.land_after_s / CYCLE_S) + 2))
+    assert touchdown.on_pad is stands
 
 
 def test_where_the_heights_say_contact_and_nothing_is_felt_it_ends_in_land() -> None:
-    touchdown, found, k = sinking(), None, 0
-    while found is None and k < 300:
-        k += 1
-        now = 1.0 + k * CYCLE_S
-        sinks = sight(height=LEG_M, velocity=(0.0, 0.0, 0.1))
-        found = touchdown.step(sinks, RangeSample(now, 0.1), LandedState.IN_AIR, now)
-        if touchdown.state is State.SET_DOWN:
-            return
-    raise AssertionError(f"{touchdown.state}: {found}")
+    touchdown, found = sinking(), list[MissionEvent]()
+    while not found and touchdown.state is not State.SET_DOWN and touchdown.now_s < 11.0:
+        found = touchdown.cycles([sight(height=LEG_M, velocity=(0.0, 0.0, 0.1))], echo_m=0.1)
+    assert (touchdown.state, found) == (State.SET_DOWN, [])
 
 
 def test_standing_ends_only_when_the_pad_is_seen_well_below() -> None:
     touchdown = sinking()
-    for k in range(8):
-        now = 1.0 + k * CYCLE_S
-        touchdown.step(sight(height=0.18), RangeSample(now, 0.1), LandedState.IN_AIR, now)
+    touchdown.cycles([sight(height=0.18)] * 8, echo_m=0.1)
     assert touchdown.on_pad
-    for k in range(30):
-        assert touchdown.step(sight(height=0.40), None, LandedState.IN_AIR, 2.0 + k * CYCLE_S) is None
-    found = None
-    for k in range(15):
-        found = found or touchdown.step(sight(height=0.5), None, LandedState.IN_AIR, 4.0 + k * CYCLE_S)
-    assert found is not None
-    assert found[0] is MissionEvent.OFF_PAD
+    touchdown.now_s = 2.0
+    assert touchdown.cycles([sight(height=0.40)] * 30) == []
+    touchdown.now_s = 4.0
+    assert touchdown.cycles([sight(height=0.5)] * 15)[:1] == [MissionEvent.OFF_PAD]
 
 
 def test_a_debounce_counts_from_the_last_break() -> None:
@@ -566,33 +433,25 @@ def test_a_debounce_counts_from_the_last_break() -> None:
     assert held.held_s("still", True, 3.0) == 0.0
 
 
-def descent(touchdown: Attempt, lags_m: float, sink_m_s: float, count: int = 15) -> ReferenceGenerator:
-    """Cycles of a vehicle that is so much above the reference and sinks at its own speed."""
-    generator = touchdown._generator
-    for k in range(count):
-        now = 1.2 + k * CYCLE_S
-        height = -generator.at(now).position_m[2] + lags_m
-        touchdown.step(sight(height=height, velocity=(0.0, 0.0, sink_m_s)), None, LandedState.IN_AIR, now)
-    return generator
-
-
 def test_on_the_final_descent_the_reference_gives_way_to_the_vehicles_height_but_not_its_speed() -> None:
-    free, held = sinking(), sinking()
-    lower = descent(free, 0.0, 0.2)
-    higher = descent(held, 0.05, 0.2)
-    gained = lower.at(1.7).position_m[2] - higher.at(1.7).position_m[2]
+    at_half_a_second = []
+    for lags_m in (0.0, 0.05):  # so much above the reference, at its speed
+        touchdown = sinking()
+        touchdown.now_s = 1.2 - CYCLE_S
+        for _ in range(15):
+            reference_m = -touchdown.reference.at(touchdown.now_s + CYCLE_S).position_m[2]
+            touchdown.cycles([sight(height=reference_m + lags_m, velocity=(0.0, 0.0, 0.2))])
+        at_half_a_second.append(touchdown.reference.at(1.7))
+    lower, higher = at_half_a_second
     # 0.05 m with a time constant of 0.3 s, over half a second
-    assert gained == pytest.approx(0.05 * 0.5 / 0.3, rel=0.2)
-    assert higher.at(1.7).velocity_m_s == lower.at(1.7).velocity_m_s
+    assert lower.position_m[2] - higher.position_m[2] == pytest.approx(0.05 * 0.5 / 0.3, rel=0.2)
+    assert higher.velocity_m_s == lower.velocity_m_s
 
 
 def test_next_to_the_pad_the_reference_goes_on_so_that_standing_shows() -> None:
     touchdown = sinking()
-    for k in range(60):
-        now = 1.0 + k * CYCLE_S
-        slow = sight(height=LEG_M + 0.03, velocity=(0.0, 0.0, 0.07))
-        touchdown.step(slow, None, LandedState.IN_AIR, now)
-    assert touchdown._generator.at(3.0).position_m[2] > -LEG_M + 0.05
+    touchdown.cycles([sight(height=LEG_M + 0.03, velocity=(0.0, 0.0, 0.07))] * 60)
+    assert touchdown.reference.at(3.0).position_m[2] > -LEG_M + 0.05
 
 
 @pytest.mark.parametrize(

@@ -1,16 +1,11 @@
 """A try at a touchdown, from state to state as the table says."""
 
 import math
+from collections.abc import Iterable
+from typing import Any
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
-from companion.base.messages import (
-    AutopilotState,
-    LandedState,
-    LinkHealth,
-    PadState,
-    RangeSample,
-    VehicleState,
-)
+from companion.base.messages import AutopilotState, LandedState, LinkHealth, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, LandingConfig, TouchdownConfig
 from companion.plan.events import DetectedEvent, MissionEvent
@@ -21,6 +16,7 @@ from companion.plan.mission.states import Circumstances, State
 from companion.plan.mission.table import COMMITTED, GOING_DOWN, ON_PAD, TOUCHDOWN, follows
 from companion.plan.steering import enter_touchdown, touch_down
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
+from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 CONFIG = TouchdownConfig()
@@ -52,6 +48,7 @@ class Attempt:
         self.state = State.WAIT
         self.broken_off_by = ""
         self.contact_s = math.nan
+        self.now_s = -CYCLE_S  # of the last cycle
         self.level_off = sequence.level_off
         self.reference = generator
 
@@ -84,13 +81,17 @@ class Attempt:
     def step(
         self,
         seen: PadState | None,
-        echo: RangeSample | None,
-        landed: LandedState,
         now_s: float,
         *,
+        echo_m: float | None = None,
+        landed: LandedState = LandedState.IN_AIR,
         silent_s: float = 0.0,
-        vehicle: VehicleState | None = None,
+        imu_age_s: float | None = None,
     ) -> DetectedEvent | None:
+        """One cycle; the vehicle's own state is known where its IMU has an age."""
+        self.now_s = now_s
+        vehicle = None if imu_age_s is None else vehicle_state(now_s, imu_age_s=imu_age_s)
+        echo = None if echo_m is None else RangeSample(now_s, echo_m)
         autopilot = AutopilotState(now_s, landed=landed, connected=True)
         inputs = PlanInputs(vehicle, None, autopilot, range=echo, link=LinkHealth(silent_s))
         detected = touch_down(self._sequence, self.state, seen, inputs, now_s)
@@ -107,6 +108,11 @@ class Attempt:
             self.contact_s = now_s
             return detected
         return None
+
+    def cycles(self, sights: Iterable[PadState | None], **given: Any) -> list[MissionEvent]:
+        """A cycle for each sight, from the last one on; what they bring."""
+        found = [self.step(seen, self.now_s + CYCLE_S, **given) for seen in sights]
+        return [finding[0] for finding in found if finding]
 
 
 def fresh(
@@ -126,17 +132,27 @@ def wait(touchdown: Attempt, seen: PadState, until_s: float) -> tuple[float, Mis
     """Step until it commits or finds something; the time and what."""
     k = 0
     while k * CYCLE_S < until_s:
-        finding = touchdown.step(seen, None, LandedState.IN_AIR, k * CYCLE_S)
+        finding = touchdown.step(seen, k * CYCLE_S)
         if finding or touchdown.committed:
             return k * CYCLE_S, finding[0] if finding else None
         k += 1
     return until_s, None
 
 
-def sinking(half_width_m: float = SMALL_PAD_M) -> Attempt:
-    touchdown = fresh(half_width_m=half_width_m)
+def sinking(**given: Any) -> Attempt:
+    """On its final descent; its next cycle is at 1 s."""
+    touchdown = fresh(**given)
     wait(touchdown, sight(), 5.0)
     assert touchdown.committed
+    touchdown.now_s = 1.0 - CYCLE_S
+    return touchdown
+
+
+def standing() -> Attempt:
+    touchdown = sinking()
+    while not touchdown.on_pad and touchdown.now_s < 2.0:
+        touchdown.cycles([sight(height=0.19)], echo_m=0.1)
+    assert touchdown.on_pad
     return touchdown
 
 
@@ -148,4 +164,4 @@ def waited(touchdown: Attempt, tilt_m_s2: float, from_s: float, until_s: float) 
     for k in range(round((until_s - from_s) / CYCLE_S)):
         now_s = from_s + k * CYCLE_S
         touchdown.note_tilt(tilting(tilt_m_s2), now_s)
-        touchdown.step(sight(), None, LandedState.IN_AIR, now_s)
+        touchdown.step(sight(), now_s)

@@ -5,14 +5,7 @@ from dataclasses import replace
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.messages import (
-    Action,
-    ActionKind,
-    ActionResult,
-    AutopilotState,
-    LandedState,
-    LinkHealth,
-)
+from companion.base.messages import Action, ActionKind, ActionResult, AutopilotState, LandedState, LinkHealth
 from companion.plan.mission.mode_monitor import TAKES_S, ModeMonitor, in_land
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Authority, State
@@ -49,13 +42,7 @@ class Modes:
             self.now_s, connected=True, autopilot_kind=self.kind, mode=mode, landed=self.landed
         )
         return self.monitor.taken_over(
-            state,
-            authority,
-            autopilot,
-            requested=requested,
-            over_home_m=up_m,
-            now_s=self.now_s,
-            asked=asked,
+            state, authority, autopilot, requested=requested, over_home_m=up_m, now_s=self.now_s, asked=asked
         )
 
     def taken_since_end(self, mode: str, *asked: ActionKind) -> bool:

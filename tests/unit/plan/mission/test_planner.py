@@ -330,14 +330,8 @@ REFUSALS: dict[str, tuple[Callable[[PlanWorld], None], str]] = {
     "no home": (lambda w: setattr(w, "home", lambda _t: None), "no home position"),
     "no estimate": (lambda w: setattr(w, "vehicle_known", False), "no current vehicle estimate"),
     "battery": (lambda w: setattr(w.autopilot, "battery_share", 0.1), "battery critical: 10 % left"),
-    "fence": (
-        lambda w: setattr(w, "position", (500.0, 0.0, -6.0)),
-        "fence: 500 m from home, limit 150 m",
-    ),
-    "ceiling": (
-        lambda w: setattr(w, "position", (0.0, 0.0, -70.0)),
-        "ceiling: 70 m over home, limit 60 m",
-    ),
+    "fence": (lambda w: setattr(w, "position", (500.0, 0.0, -6.0)), "fence: 500 m from home, limit 150 m"),
+    "ceiling": (lambda w: setattr(w, "position", (0.0, 0.0, -70.0)), "ceiling: 70 m over home, limit 60 m"),
 }
 
 

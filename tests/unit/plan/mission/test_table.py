@@ -184,8 +184,7 @@ def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(st
 
 @pytest.mark.parametrize("ends", [E.CLEAR, E.TIMEOUT])
 @pytest.mark.parametrize(
-    "event",
-    [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST],
+    "event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST]
 )
 @pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
 def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(

@@ -1,8 +1,10 @@
 """The speed laws that the settings choose among."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import TABLE, VEHICLE, PlanFlight, PlanWorld
 
 SHIPPED_TABLE = load_table("landing")[0]
+Block = dict[str, Any]
 
 
 def _law(name: str, **changes: object) -> PlanConfig:
@@ -231,13 +234,6 @@ def test_a_damaged_table_is_computed_afresh(tmp_path: Path, table: SpeedTable) -
     assert found == table
 
 
-def test_rules_that_are_faster_when_closer_are_refused(tmp_path: Path) -> None:
-    rules = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["rules"]
-    rules["steady"]["near"] = ["fast", "fast", "fast"]
-    with pytest.raises(ConfigError, match=r"mine\.yaml: rules: expected no more speed when closer"):
-        load_table(edited(tmp_path, rules=rules))
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -260,22 +256,51 @@ def test_what_is_wrong_with_rules_is_said_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_rule_for_an_unknown_speed_names_its_cell(tmp_path: Path) -> None:
-    rules = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["rules"]
-    rules["pushing"]["far"] = ["brisk", "warp", "slow"]
-    with pytest.raises(ConfigError, match=r"rules\.pushing\.far: expected 3 of creep, slow"):
-        load_table(edited(tmp_path, rules=rules))
-    del rules["pushing"]["far"]
-    with pytest.raises(ConfigError, match=r"rules\.pushing: expected a row for each of touching"):
-        load_table(edited(tmp_path, rules=rules))
+def closer_is_faster(block: Block) -> None:
+    block["rules"]["steady"]["near"] = ["fast", "fast", "fast"]
 
 
-def test_rules_that_stand_still_or_back_away_are_refused(tmp_path: Path) -> None:
-    speeds = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["speed_m_s"]
-    slowest = min(speeds, key=lambda term: speeds[term])
-    path = edited(tmp_path, speed_m_s=speeds | {slowest: [-0.4, -0.2, 0.0]})
-    with pytest.raises(ConfigError, match=r"rules: expected at least 0.05 m/s, found -0.2"):
-        load_table(path)
+def unknown_speed(block: Block) -> None:
+    block["rules"]["pushing"]["far"] = ["brisk", "warp", "slow"]
+
+
+def row_missing(block: Block) -> None:
+    del block["rules"]["pushing"]["far"]
+
+
+def backs_away(block: Block) -> None:
+    slowest = min(block["speed_m_s"], key=lambda term: block["speed_m_s"][term])
+    block["speed_m_s"][slowest] = [-0.4, -0.2, 0.0]
+
+
+def gap_in_the_pace(block: Block) -> None:
+    pace = block["pace"]
+    del pace["gust_m_s2"]["breezy"], pace["rules"]["breezy"]
+    pace["gust_m_s2"]["gusty"] = [0.9, 1.2, 2.4, 2.4]
+
+
+def pace_that_stands_still(block: Block) -> None:
+    block["pace"]["factor"]["slow"] = [0.0, 0.05, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (closer_is_faster, r"mine\.yaml: rules: expected no more speed when closer"),
+        (unknown_speed, r"rules\.pushing\.far: expected 3 of creep, slow"),
+        (row_missing, r"rules\.pushing: expected a row for each of touching"),
+        (backs_away, r"rules: expected at least 0.05 m/s, found -0.2"),
+        (gap_in_the_pace, r"pace: gust_m_s2: no term covers 0.6 to 0.9"),
+        (pace_that_stands_still, r"rules: expected at least 0.05 m/s, found 0.0"),
+    ],
+)
+def test_shipped_rules_with_one_change_are_refused_with_its_place(
+    tmp_path: Path, spoil: Callable[[Block], None], said: str
+) -> None:
+    rules = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
+    spoil(rules)
+    with pytest.raises(ConfigError, match=said):
+        load_table(edited(tmp_path, **rules))
 
 
 # ---------------------------------------------------------------- the pace
@@ -306,21 +331,6 @@ def test_the_pace_flies_what_scikit_fuzzy_says_within_a_hundredth(table: SpeedTa
     truth = mamdani(rules, points)
     flown = np.array([pace(x, y, z, table) for x, y, z in points.tolist()])
     assert np.max(np.abs(flown - truth) / truth) < 0.01
-
-
-def test_a_gap_in_the_pace_is_said_with_its_place(tmp_path: Path) -> None:
-    rules = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["pace"]
-    del rules["gust_m_s2"]["breezy"], rules["rules"]["breezy"]
-    rules["gust_m_s2"]["gusty"] = [0.9, 1.2, 2.4, 2.4]
-    with pytest.raises(ConfigError, match=r"pace: gust_m_s2: no term covers 0.6 to 0.9"):
-        load_table(edited(tmp_path, pace=rules))
-
-
-def test_a_pace_that_stands_still_is_refused(tmp_path: Path) -> None:
-    rules = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["pace"]
-    rules["factor"]["slow"] = [0.0, 0.05, 0.1]
-    with pytest.raises(ConfigError, match=r"rules: expected at least 0.05 m/s, found 0.0"):
-        load_table(edited(tmp_path, pace=rules))
 
 
 # ---------------- The checks of the speed table find what they are for, and the shipped table passes them

@@ -42,8 +42,7 @@ def main(port: str) -> None:
     factory.set_shared(True)
     sources: list[Any] = []
     factory.connect(
-        "media-configure",
-        lambda _, media: sources.append(media.get_element().get_child_by_name("source")),
+        "media-configure", lambda _, media: sources.append(media.get_element().get_child_by_name("source"))
     )
     server.get_mount_points().add_factory("/camera", factory)
     server.attach(None)

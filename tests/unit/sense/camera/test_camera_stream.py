@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from typing import Any, cast
 
 import cv2
@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from companion.base.clock import Clock
 from companion.base.errors import DeviceMissing
+from companion.base.messages import Frame
 from companion.config import CameraConfig, CompanionConfig, ConfigError, validate, without_password
 from companion.sense.camera import stream
-from companion.sense.camera.keeper import LONGEST_PAUSE_S
+from companion.sense.camera.keeper import LONGEST_PAUSE_S, KeptCamera
 from companion.sense.camera.source import FrameSource, is_camera, keep_camera, open_camera
 from tests.unit.sense.camera.camera_frames import noisy
 from tests.unit.sense.camera.rtsp_camera import rtsp_server
@@ -220,6 +221,14 @@ async def test_only_the_newest_frame_of_a_stream_is_handed_on(camera: CameraConf
     assert age_s(following.image, following.received_s) < 0.5  # of now: nothing was queued meanwhile
 
 
+async def first_since(kept: KeptCamera, since_s: float) -> Frame:
+    async with asyncio.timeout(30.0):
+        while (frame := await kept.next()).received_s < since_s:
+            pass
+    kept.close()
+    return frame
+
+
 async def test_a_stream_that_went_is_opened_anew(camera: CameraConfig) -> None:
     with mjpeg_server() as port:
         kept = await keep_camera(f"http://127.0.0.1:{port}/", camera, LATENCY_S)
@@ -228,28 +237,27 @@ async def test_a_stream_that_went_is_opened_anew(camera: CameraConfig) -> None:
         while "closed it, or stalls" not in (await kept.report()).text:
             pass
     with mjpeg_server(port):
-        back_s = asyncio.get_running_loop().time()
-        async with asyncio.timeout(20.0):
-            while (frame := await kept.next()).received_s < back_s:
-                pass
-        kept.close()
+        frame = await first_since(kept, asyncio.get_running_loop().time())
     assert frame.sequence > first.sequence
     assert LONGEST_PAUSE_S + stream.CONNECT_S <= 2.0  # a host that is away is asked again within that
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("away_s", [0.5, 2.0, 4.0])
-async def test_a_stream_is_back_within_two_seconds_of_its_server(camera: CameraConfig, away_s: float) -> None:
-    with mjpeg_server() as port:
-        kept = await keep_camera(f"http://127.0.0.1:{port}/", camera, LATENCY_S)
+@pytest.mark.parametrize("scheme", ["http", "rtsp"])
+async def test_a_stream_is_back_within_two_seconds_of_its_server(
+    camera: CameraConfig, scheme: str, away_s: float
+) -> None:
+    def server(port: int = 0) -> AbstractContextManager[int]:
+        return mjpeg_server(port) if scheme == "http" else rtsp_server(stamped_pictures(), port)
+
+    with server() as port:
+        kept = await keep_camera(f"{scheme}://127.0.0.1:{port}/camera", camera, LATENCY_S)
         await kept.next()
     await asyncio.sleep(away_s)
-    with mjpeg_server(port):
+    with server(port):
         back_s = asyncio.get_running_loop().time()
-        async with asyncio.timeout(20.0):
-            while (frame := await kept.next()).received_s < back_s:
-                pass
-        kept.close()
+        frame = await first_since(kept, back_s)
     print(f"away for {away_s:g} s, back after {frame.received_s - back_s:.2f} s")
     assert frame.received_s - back_s < 2.0
 
@@ -367,22 +375,3 @@ async def test_an_rtsp_stream_is_read_without_a_queue(camera: CameraConfig) -> N
     print(f"frames {1e3 * np.median(ages_s):.0f} ms old as they come, the first {1e3 * ages_s[0]:.0f} ms")
     # decoding holds nothing back: at 30 frames/s a queue of a few would be 0.1 s and more
     assert np.median(ages_s) < 0.1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("away_s", [0.5, 2.0, 4.0])
-async def test_an_rtsp_stream_is_back_within_two_seconds_of_its_server(
-    camera: CameraConfig, away_s: float
-) -> None:
-    with rtsp_server(stamped_pictures()) as port:
-        kept = await keep_camera(f"rtsp://127.0.0.1:{port}/camera", camera, LATENCY_S)
-        await kept.next()
-    await asyncio.sleep(away_s)
-    with rtsp_server(stamped_pictures(), port):
-        back_s = asyncio.get_running_loop().time()
-        async with asyncio.timeout(30.0):
-            while (frame := await kept.next()).received_s < back_s:
-                pass
-        kept.close()
-    print(f"away for {away_s:g} s, back after {frame.received_s - back_s:.2f} s")
-    assert frame.received_s - back_s < 2.0

@@ -164,10 +164,7 @@ async def test_a_clock_that_runs_away_after_good_frames_is_a_lost_camera(
     ("data", "text"),
     [
         (b"HTTP/1.1 400 Bad Request\r\n\r\n" + bytes(64), "does not send frames: not a frame"),
-        (
-            pack_frame(np.zeros((480, 640), np.uint8), 0, None)[:-1],
-            "after 307199 of 307200 bytes",
-        ),
+        (pack_frame(np.zeros((480, 640), np.uint8), 0, None)[:-1], "after 307199 of 307200 bytes"),
         (b"CFRM", "after 4 of 32 bytes of a frame's header"),
     ],
 )

@@ -143,10 +143,7 @@ def test_sample_clock_starts_again_when_samples_vanished_unnoticed() -> None:
 
 @pytest.mark.parametrize(
     ("settings", "expected"),
-    [
-        ({"rate_hz": 300}, "a divisor of 1000"),
-        ({"rate_hz": 1000, "poll_hz": 50}, "expected at least 56"),
-    ],
+    [({"rate_hz": 300}, "a divisor of 1000"), ({"rate_hz": 1000, "poll_hz": 50}, "expected at least 56")],
 )
 def test_rates_that_do_not_fit_the_chip_are_refused(settings: dict[str, int], expected: str) -> None:
     with pytest.raises(ConfigError, match=expected):

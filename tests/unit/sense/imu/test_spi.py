@@ -110,10 +110,7 @@ def test_a_chip_that_is_not_behind_the_chip_select_is_a_bus_fault(spidev: type[F
 
 def test_a_missing_module_is_reported_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "spidev", None)
-    with pytest.raises(
-        ConfigError,
-        match=r"spidev is missing; expected: apt install python3-spidev",
-    ):
+    with pytest.raises(ConfigError, match=r"spidev is missing; expected: apt install python3-spidev"):
         open_bus("spi:0.0")
 
 

@@ -102,25 +102,23 @@ def passed(distances_m: list[float | None], config: RangeConfig | None = None) -
     return out
 
 
-def test_a_spike_alone_is_dropped_and_the_next_sample_passes_as_it_is() -> None:
-    assert passed([2.0, 2.0, 2.0, 0.7, 2.0, 2.01]) == [None, 2.0, 2.0, None, 2.0, 2.01]
+SILENCE = [None] * 20
 
 
-def test_two_different_spikes_in_a_row_are_dropped() -> None:
-    assert passed([2.0, 2.0, 0.4, 1.2, 2.0]) == [None, 2.0, None, None, 2.0]
-
-
-def test_a_step_that_stays_costs_one_sample() -> None:
-    """Over the pad's edge."""
-    assert passed([2.0, 2.0, 1.4, 1.41, 1.4]) == [None, 2.0, None, 1.41, 1.4]
-
-
-def test_echoes_that_are_lost_in_between_cost_nothing_more() -> None:
-    assert passed([2.0, 2.0, None, None, 2.05, None, 2.1]) == [None, 2.0, None, None, 2.05, None, 2.1]
-
-
-def test_after_a_long_silence_two_have_to_agree_again() -> None:
-    assert passed([2.0, 2.0, *[None] * 20, 1.0, 1.0]) == [None, 2.0, *[None] * 20, None, 1.0]
+@pytest.mark.parametrize(
+    ("pings_m", "passed_m"),
+    [
+        pytest.param([2.0, 0.7, 2.0, 2.01], [2.0, None, 2.0, 2.01], id="a spike alone is dropped"),
+        pytest.param([2.0, 0.4, 1.2, 2.0], [2.0, None, None, 2.0], id="two different spikes are dropped"),
+        pytest.param([2.0, 1.4, 1.41, 1.4], [2.0, None, 1.41, 1.4], id="a step that stays costs one"),
+        pytest.param(
+            [2.0, None, 2.05, None, 2.1], [2.0, None, 2.05, None, 2.1], id="lost echoes cost no more"
+        ),
+        pytest.param([2.0, *SILENCE, 1.0, 1.0], [2.0, *SILENCE, None, 1.0], id="silence: two have to agree"),
+    ],
+)
+def test_what_passes_the_gate(pings_m: list[float | None], passed_m: list[float | None]) -> None:
+    assert passed([2.0, *pings_m]) == [None, *passed_m]
 
 
 @pytest.mark.parametrize("speed_m_s", [0.3, 1.0, 2.0, 2.9])

@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.base.geometry import (
-    FloatArray,
-    matrix_from_quat,
-    quat_conjugate,
-    quat_from_euler,
-    vector3,
-)
+from companion.base.geometry import FloatArray, matrix_from_quat, quat_conjugate, quat_from_euler, vector3
 from companion.base.messages import Frame, PadPrior, PadSighting
 from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
 from companion.pad import Pad

@@ -14,9 +14,7 @@ from companion.base.geometry import (
     norm,
     quat_conjugate,
     quat_from_euler,
-    quat_multiply,
     quat_rotate,
-    rotation_vector_from_quat,
     subtract,
 )
 from companion.base.messages import Frame, PadPrior, PadSighting
@@ -25,6 +23,7 @@ from companion.pad import Pad
 from companion.sense.vision.aruco import Detection, PadDetector, SearchPass
 from companion.sense.vision.pipeline import Vision
 from companion.sense.vision.search import ENOUGH_MARKERS
+from tests.attitudes import between_rad
 
 TakePicture = Callable[..., tuple[Frame, Vector3, Quaternion]]
 LEVEL = quat_from_euler(0.0, 0.0, 0.0)
@@ -51,10 +50,6 @@ def seen(vision: Vision, frame: Frame, prior: PadPrior | None) -> PadSighting:
     return sighting
 
 
-def turn_between(a: Quaternion, b: Quaternion) -> float:
-    return norm(rotation_vector_from_quat(quat_multiply(quat_conjugate(a), b)))
-
-
 # camera height over the pad, and how far the position and the turn may be off
 HEIGHTS = [(7.0, 0.05, 2.0), (3.0, 0.015, 1.5), (1.0, 0.005, 1.0), (0.4, 0.005, 1.0), (0.12, 0.003, 2.5)]
 
@@ -73,7 +68,7 @@ def test_the_pose_is_true_at_every_height_and_yaw_and_at_tilt(
     frame, truth, body_from_pad = take_picture(position, attitude, 0.4)
     sighting = seen(vision, frame, prior_of(attitude, truth, body_from_pad, 0.01 + 0.01 * height_m))
     assert norm(subtract(sighting.pad_position_body_m, truth)) < position_bound_m
-    assert math.degrees(turn_between(body_from_pad, sighting.body_from_pad)) < turn_bound_deg
+    assert math.degrees(between_rad(body_from_pad, sighting.body_from_pad)) < turn_bound_deg
     assert sighting.sequence == frame.sequence
     assert len(sighting.marker_ids) == sum(sighting.marker_count.values())
 

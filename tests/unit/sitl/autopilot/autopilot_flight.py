@@ -10,14 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.geometry import (
-    GRAVITY_M_S2,
-    ZERO3,
-    Quaternion,
-    Vector3,
-    quat_integrate,
-    quat_rotate,
-)
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_integrate, quat_rotate
 from companion.base.messages import LandedState
 from sitl.autopilot.control.attitude_control import RateGains
 from sitl.autopilot.control.estimator import NO_ERRORS, EstimatorErrors

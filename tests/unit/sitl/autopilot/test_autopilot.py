@@ -7,12 +7,7 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import custom_mode
-from companion.base.geometry import (
-    quat_from_euler,
-    tilt_from_quat,
-    wrap_angle,
-    yaw_from_quat,
-)
+from companion.base.geometry import quat_from_euler, tilt_from_quat, wrap_angle, yaw_from_quat
 from companion.base.messages import LandedState
 from sitl.autopilot.control.setpoints import LocalFrame, MotionSetpoint, StreamedMotion
 from sitl.autopilot.flight.modes import CommandResult

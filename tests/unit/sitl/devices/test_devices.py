@@ -15,11 +15,7 @@ from sitl.devices.neo6m import Neo6mDevice, nmea, ubx
 from sitl.devices.ports import MemoryPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice, frame
 from sitl.sensors.inertial import NO_IMU_ERRORS, ImuSensor
-from sitl.sensors.sensors import (
-    GpsSensor,
-    MagSensor,
-    RangeSensor,
-)
+from sitl.sensors.sensors import GpsSensor, MagSensor, RangeSensor
 from tests.unit.sitl.devices.sensor_desk import FORCE, STEP_S, fly
 from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 from tests.virtual_time import in_virtual_time

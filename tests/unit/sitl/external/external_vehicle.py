@@ -50,10 +50,7 @@ def sim_state(
 
 
 def hil_state(
-    position: Vector3,
-    velocity: Vector3 = (0.0, 0.0, 0.0),
-    attitude: Quaternion = LEVEL,
-    time_usec: int = 0,
+    position: Vector3, velocity: Vector3 = (0.0, 0.0, 0.0), attitude: Quaternion = LEVEL, time_usec: int = 0
 ) -> Any:
     """PX4's, of a place NED from GROUND; it leaves the stamp 0."""
     latitude, longitude, altitude = geodetic_from_ned(position, GROUND)

@@ -257,5 +257,6 @@ def test_frames_without_the_key_bear_the_largest_stamp_and_are_refused() -> None
     assert [(frame.system, frame.component, frame.signed) for frame in forged] == [(1, 1, True)]
     assert int.from_bytes(forged[0].data[-12:-6], "little") > (1 << 48) - 300
     assert not link.accepts(forged[0].data)
-    assert not signing._is_genuine(forged[0], key)
+    # a heartbeat, as this one, may come unsigned; the same signature under any other message may not
+    assert not signing.accepts(forged[0]._replace(message_id=mavlink.MAVLINK_MSG_ID_COMMAND_LONG))
     assert link.stamp < 1000

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.base.geometry import (
-    Vector3,
-    matrix_from_quat,
-    quat_from_euler,
-    subtract,
-    tilt_from_quat,
-)
+from companion.base.geometry import Vector3, matrix_from_quat, quat_from_euler, subtract, tilt_from_quat
 from companion.config import ConfigError, validate
 from sitl.pad.motion import PadTruth, build_pad_motion
 from sitl.pad.paths import DeckMotion, DeckSettings, LineMotion, StaticMotion

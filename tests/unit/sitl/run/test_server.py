@@ -29,10 +29,7 @@ FREE_PORTS = ("--port", "0", "--gcs-port", "0", "--tcp-port", "0")
         (("--seed", "-1"), "Invalid value for '--seed': Input should be greater than or equal to 0"),
         (("--port", "99999"), "Invalid value for '--port': Input should be less than or equal to 65535"),
         (("--wings", "2"), "No such option: --wings"),
-        (
-            ("--seed", "3", "campaign"),
-            "--seed: applies to a served vehicle; expected it without 'campaign'",
-        ),
+        (("--seed", "3", "campaign"), "--seed: applies to a served vehicle; expected it without 'campaign'"),
         (("--bind", "a..b"), "UDP port a..b:14580: "),
         (("--external", "tcp:a..b:1"), "--external tcp:a..b:1: expected udp:HOST:PORT"),
         (("--external", "udp:a..b:1"), "--external udp:a..b:1: expected udp:HOST:PORT"),

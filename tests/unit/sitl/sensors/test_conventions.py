@@ -280,12 +280,7 @@ def through_the_rack(
         # nose up by 30 degrees: the push is half ahead
         ((0.5 * G, 0.0, -COS_30 * G), (0.0, 0.0, 0.0), (0.5, 0.0, COS_30), (0.0, 0.0, 0.0)),
         # right side down by 30 degrees: the push is half to the left, along the chip's y
-        (
-            (0.0, -0.5 * G, -COS_30 * G),
-            (0.0, 0.0, 0.0),
-            (0.0, 0.5, COS_30),
-            (0.0, 0.0, 0.0),
-        ),
+        ((0.0, -0.5 * G, -COS_30 * G), (0.0, 0.0, 0.0), (0.0, 0.5, COS_30), (0.0, 0.0, 0.0)),
         # rolling right, pitching up, turning clockwise: about ahead, right and down
         ((0.0, 0.0, -G), (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), (57.3, -114.6, -171.9)),
     ],

@@ -8,14 +8,7 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, ned_from_geodetic
 from sitl.sensors.inertial import ACCEL_FILTER, GYRO_FILTER, NO_IMU_ERRORS, ImuErrors, ImuLowPass, ImuSensor
-from sitl.sensors.sensors import (
-    GpsErrors,
-    GpsSensor,
-    MagErrors,
-    MagSensor,
-    RangeErrors,
-    RangeSensor,
-)
+from sitl.sensors.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
 from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 
 DT_S = 1.0 / 400.0

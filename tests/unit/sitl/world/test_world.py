@@ -113,11 +113,7 @@ def test_a_touchdown_is_measured_just_before_contact_and_relative_to_the_pad() -
     pad["heading"] = 30.0
     world = World(scenario(pad=pad), 0)
     put(
-        world,
-        0.05,
-        sideways=0.06,
-        velocity_ned_m_s=(0.1, 2.0, 0.2),
-        attitude=quat_from_euler(0.05, 0.0, 0.8),
+        world, 0.05, sideways=0.06, velocity_ned_m_s=(0.1, 2.0, 0.2), attitude=quat_from_euler(0.05, 0.0, 0.8)
     )
     world.watch.airborne(2.0)  # as if it had come down from there
     fall_to = math.hypot(0.2, math.sqrt(2 * GRAVITY_M_S2 * 0.05))

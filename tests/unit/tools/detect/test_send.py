@@ -128,8 +128,5 @@ def test_what_keeps_it_from_being_sent_is_said(tmp_path: Path, monkeypatch: pyte
         pytest.raises(ConfigError, match="does not tell where it is"),
     ):
         detect_all([photo(tmp_path)], finder(), None, opened.send)
-    with (
-        pytest.raises(ConfigError, match="no PX4 or ArduPilot within"),
-        link(autopilot.port).opened(),
-    ):
+    with pytest.raises(ConfigError, match="no PX4 or ArduPilot within"), link(autopilot.port).opened():
         pass

@@ -40,12 +40,7 @@ def _state(time_s: float, velocity_m_s: float, acceleration_m_s2: float) -> Vehi
 
 
 def _record(
-    folder: Path,
-    setpoint: str,
-    *,
-    lag_s: float = 0.3,
-    seconds: float = 20.0,
-    autopilot_kind: str = "px4",
+    folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float = 20.0, autopilot_kind: str = "px4"
 ) -> Path:
     """A flight that sways north, recorded as the app does."""
     log, (config, vehicle) = FlightLog(folder, 0.0), _config(setpoint)
@@ -181,8 +176,7 @@ def test_what_tells_nothing_ends_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"short: \d windows of 1 s of flight by setpoints, expected 10"):
         identify_command(short)
     with pytest.raises(
-        ConfigError,
-        match=r"nowhere: cannot be read: No such file or directory; expected a flight's folder,",
+        ConfigError, match=r"nowhere: cannot be read: No such file or directory; expected a flight's folder,"
     ):
         identify_command(tmp_path / "nowhere")
     bare = FlightLog(tmp_path / "bare", 0.0)

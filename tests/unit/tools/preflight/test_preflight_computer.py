@@ -100,12 +100,7 @@ def test_the_service_is_to_be_installed_and_enabled(
     ids=["service", "by-hand"],
 )
 def test_what_a_running_app_has_is_left_alone(
-    state: ServiceState | None,
-    app: str,
-    who: str,
-    hint: str,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+    state: ServiceState | None, app: str, who: str, hint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     async def opened(*_: object) -> list[Finding]:
         raise AssertionError("a device was opened")

@@ -8,14 +8,7 @@ from typing import Any
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.config import (
-    CONFIG_FOLDER,
-    CompanionConfig,
-    VehicleConfig,
-    find_file,
-    load_model,
-    validate,
-)
+from companion.config import CONFIG_FOLDER, CompanionConfig, VehicleConfig, find_file, load_model, validate
 from companion.tools.preflight.findings import FindingState
 from companion.tools.preflight.parameters import Wanted, judge_parameters, parameter_names
 

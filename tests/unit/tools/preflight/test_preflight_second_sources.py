@@ -23,8 +23,7 @@ def with_horizon(roll_deg: float, pitch_deg: float) -> list[Finding]:
 
 
 @pytest.mark.parametrize(
-    ("pitch_deg", "state"),
-    [(0.5, FindingState.OK), (4.5, FindingState.WARNING), (-12.0, FindingState.FAIL)],
+    ("pitch_deg", "state"), [(0.5, FindingState.OK), (4.5, FindingState.WARNING), (-12.0, FindingState.FAIL)]
 )
 def test_two_horizons_are_judged_by_the_table(pitch_deg: float, state: FindingState) -> None:
     found, _ = compared(with_horizon(2.0, pitch_deg), with_horizon(2.0, 0.0), EstimateConfig(), NOW)
