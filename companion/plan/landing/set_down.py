@@ -10,7 +10,7 @@ from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.contact import ContactTest, contact_signs, imu_fresh
+from companion.plan.landing.contact import ContactFilter, feet_motion, imu_fresh
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
@@ -35,7 +35,7 @@ class SetDown:
         self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)
 
     def step(
-        self, sight: PadState | None, inputs: PlanInputs, contact_test: ContactTest, now_s: float
+        self, sight: PadState | None, inputs: PlanInputs, contact: ContactFilter, now_s: float
     ) -> DetectedEvent | None:
         """Go on down; returns what shows that something solid is below."""
         if self._runs_ahead(inputs, now_s):
@@ -44,21 +44,20 @@ class SetDown:
         if landed is LandedState.ON_GROUND:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
         # it means to go down, though its reference begins anew with the vehicle's own speed
-        meant = Motion(self._generator.at(now_s).position_m, (0.0, 0.0, self._config.contact_speed_m_s))
-        signs = contact_signs(
+        feet = feet_motion(
             sight,
-            meant,
+            self._config.contact_speed_m_s,
             inputs.range,
-            landed,
             now_s,
             config=self._config,
             vehicle=self._vehicle,
-            sink_m_s=None if inputs.vehicle is None else inputs.vehicle.velocity_ned_m_s[2],
-            imu_fresh=imu_fresh(inputs.vehicle, now_s),
+            obeys=not inputs.link.silent,
+            felt=imu_fresh(inputs.vehicle, now_s),
+            state=inputs.vehicle,
         )
-        contact_test.update(signs, now_s, down=signs.down and not inputs.link.silent)
-        if contact_test.contact:
-            return MissionEvent.CONTACT, signs.in_words()
+        contact.update(feet, now_s)
+        if contact.contact:
+            return MissionEvent.CONTACT, contact.in_words()
         return None
 
     def _runs_ahead(self, inputs: PlanInputs, now_s: float) -> bool:

@@ -242,9 +242,10 @@ def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
 def test_tilting_back_from_far_aside_a_low_foot_is_no_contact() -> None:
     for aside_m, found in ((0.25, MissionEvent.MISALIGNED), (0.08, MissionEvent.CONTACT)):
         touchdown, finding = sinking(), None
-        low = sight(aside_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.05))
-        for k in range(12):
+        for k in range(24):
             now_s = 1.0 + k * CYCLE_S
+            down_m_s = 0.2 if k < 6 else 0.0
+            low = sight(aside_m, LEG_M + 0.04 + max(0.0, 0.2 * CYCLE_S * (6 - k)), (0.0, 0.0, down_m_s))
             touchdown.note_tilt(quat_from_euler(math.radians(12.0), 0.0, 0.0), now_s)
             echo = RangeSample(now_s, LEG_M + 0.05 - VEHICLE.range_position_body_m[2])
             finding = finding or touchdown.step(low, echo, LandedState.IN_AIR, now_s)

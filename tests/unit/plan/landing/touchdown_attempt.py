@@ -27,6 +27,7 @@ CONFIG = TouchdownConfig()
 WAIT_M = LEG_M + 0.35
 SMALL_PAD_M = 0.2  # half of its width: what an indoor pad has
 CYCLE_S = 1.0 / 30.0
+SEEN_CLEARLY = tuple(tuple(1e-6 if row == column else 0.0 for column in range(6)) for row in range(6))
 
 
 def sight(
@@ -40,7 +41,7 @@ def sight(
     relative = ((-aside, 0.0, height), scale(velocity, -1.0))
     return PadState(
         0.0, *relative, ZERO3, pad_acceleration, 0.0, 0.0, 0.0, 0.0,
-        seen_time_s=-age, seen_velocity_ned_m_s=relative[1],
+        seen_time_s=-age, seen_velocity_ned_m_s=relative[1], covariance=SEEN_CLEARLY,
     )  # fmt: skip
 
 
