@@ -16,13 +16,9 @@ from companion.base.files import find_file
 from companion.base.signals import run_until_stopped, signals_held_back
 from sitl.commands import (
     CAMPAIGN_HELP,
-    COMPANION_PORT,
-    GROUND_PORT,
     HAND_HELD_HELP,
-    LOOPBACK,
     SCENARIOS_HELP,
     SCHEMA_HELP,
-    TCP_PORT,
     VIEW_HELP,
     FirmwareOption,
     FirmwareParamOption,
@@ -38,6 +34,7 @@ from sitl.commands import (
     view_command,
 )
 from sitl.firmware import FirmwareError
+from sitl.run import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT
 
 PROGRAM: Final = "companion-sitl"
 FIRMWARE_FAILED: Final = 1

@@ -18,6 +18,7 @@ from companion.base.errors import ConfigError
 from companion.base.files import find_file, must_be_readable
 from companion.base.signals import run_until_stopped, signals_held_back
 from sitl.campaign import SCENARIOS
+from sitl.run import COMPANION_PORT, GROUND_PORT, TCP_PORT
 from sitl.vehicle import HandMotion
 
 FolderOption = Annotated[
@@ -35,11 +36,6 @@ FirmwareParamOption = Annotated[
     list[str] | None,
     typer.Option("--firmware-param", help="A parameter of it; may be given often.", metavar="NAME=VALUE"),
 ]
-
-LOOPBACK: Final = "127.0.0.1"
-COMPANION_PORT: Final = 14540
-GROUND_PORT: Final = 14550
-TCP_PORT: Final = 5760
 
 PortOption = Annotated[
     int, typer.Option(min=0, max=65535, help="UDP port where companions listen; 0: they call a free one.")

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
-from calibration.camera.command import Pattern
+from calibration.camera import Pattern
 from companion.base.files import write_atomically
 from companion.base.geometry import FloatArray
 from companion.base.printing.page import RULER_MM, Page, Rectangle, code_rectangles, save

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.camera import Model
 from calibration.camera.board import CalibrationBoard
 from calibration.camera.quality import assess
 from calibration.camera.solver import UnsolvableError
@@ -26,11 +27,8 @@ from calibration.camera.views import (
 )
 from companion.base.files import write_atomically
 from companion.base.formats.mjpeg import MjpegServer, serving
-from companion.config import ConfigError, without_password
+from companion.config import CaptureConfig, ConfigError, without_password
 from companion.sense.camera.source import FrameSource, open_camera
-
-if TYPE_CHECKING:
-    from calibration.camera.job import CameraCalibrationJob
 
 # an edge wider than this is blurred, unless this lens makes no sharper ones
 SHARP_EDGE_PX: Final = 3.5
@@ -120,6 +118,26 @@ def _distance_px(one: BoardView, other: BoardView) -> float | None:
 # The only part of camera calibration with a loop in it; what is kept is decided in `capture`.
 
 OVERLAY_PERIOD_S: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class CameraCalibrationJob:
+    """One run: where views come from, the distortion model, and where the results go.
+
+    `capture` is how the camera takes images, which all goes into its file; `sized`: their size was named.
+    """
+
+    sources: Sequence[str]
+    capture: CaptureConfig
+    sized: bool
+    model: Model
+    most_views: int
+    output: Path
+    keep: Path | None
+    overlay: Path | None
+    serve_port: int | None
+    plots: Path | None
+    force: bool
 
 
 async def capture_live(

@@ -8,16 +8,13 @@ from typing import Annotated, Final, Literal
 
 import typer
 
+from calibration.camera import DEFAULT_BOARD, NAME, Model, Pattern
 from calibration.command_line import ForceOption, PlotsOption, run
 from companion.base.command_line import ServeOption, VersionOption, new_app
 from companion.base.errors import ConfigError
 from companion.base.files import must_exist
 
-Pattern = Literal["charuco", "grid", "chessboard"]
-Model = Literal["brown", "rational", "fisheye"]
-DEFAULT_BOARD: Final = "charuco_a4"
 LIVE_SIZE_PX: Final = (1280, 720)
-NAME: Final = "calibrate-camera"
 HELP: Final = """Calibrate a camera with a printed board: focal length, principal point, distortion.
 
 SOURCE is a camera (v4l2:0, picamera2:0, socket:/run/companion/frames), or photos and videos: folders
@@ -139,8 +136,9 @@ def command(
             must_exist(Path(source), "expected a camera, a folder of photos, a photo or a video")
     # OpenCV is imported once the photos are there
     from calibration.camera.board import read_dictionary  # noqa: PLC0415
+    from calibration.camera.capture import CameraCalibrationJob  # noqa: PLC0415
     from calibration.camera.gathering import choose_board, two_numbers  # noqa: PLC0415
-    from calibration.camera.job import CameraCalibrationJob, calibrate_camera, print_board  # noqa: PLC0415
+    from calibration.camera.job import calibrate_camera, print_board  # noqa: PLC0415
     from companion.config import CaptureConfig, validate  # noqa: PLC0415
     from companion.sense.vision.opencv import prepare_opencv  # noqa: PLC0415
 

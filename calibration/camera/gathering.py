@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from calibration.camera import DEFAULT_BOARD
 from calibration.camera.board import CalibrationBoard, board_yaml
 from calibration.camera.capture import CaptureSession, write_image
-from calibration.camera.command import DEFAULT_BOARD
 from calibration.camera.solver import FEWEST_VIEWS
 from calibration.camera.views import BoardFinder, BoardView
 from companion.base.files import write_atomically

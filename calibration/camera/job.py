@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,9 +9,9 @@ import numpy as np
 import typer
 import yaml
 
+from calibration.camera import NAME
 from calibration.camera.board import CalibrationBoard, Surface, board_yaml, write_board
-from calibration.camera.capture import capture_live
-from calibration.camera.command import NAME, Model
+from calibration.camera.capture import CameraCalibrationJob, capture_live
 from calibration.camera.encoding import MeasuredEncoding, measure_encoding
 from calibration.camera.gathering import BOARD_FILE, CollectedViews, views_of_photos
 from calibration.camera.quality import Assessment, assess
@@ -26,26 +24,6 @@ from companion.base.signals import run_until_stopped
 from companion.config import CameraConfig, CaptureConfig, ConfigError, validate, without_password
 from companion.config.calibration import CameraCalibration, Provenance
 from companion.sense.camera.source import is_camera
-
-
-@dataclass(frozen=True, slots=True)
-class CameraCalibrationJob:
-    """One run: where views come from, the distortion model, and where the results go.
-
-    `capture` is how the camera takes images, which all goes into its file; `sized`: their size was named.
-    """
-
-    sources: Sequence[str]
-    capture: CaptureConfig
-    sized: bool
-    model: Model
-    most_views: int
-    output: Path
-    keep: Path | None
-    overlay: Path | None
-    serve_port: int | None
-    plots: Path | None
-    force: bool
 
 
 def print_board(board: CalibrationBoard, output: Path, paper: PaperName) -> None:

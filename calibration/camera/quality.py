@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from calibration.camera import Model
 from calibration.camera.board import Surface
-from calibration.camera.command import Model
 from calibration.camera.solver import (
     CameraSolution,
     Intrinsics,

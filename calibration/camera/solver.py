@@ -11,8 +11,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
+from calibration.camera import Model
 from calibration.camera.board import Surface
-from calibration.camera.command import Model
 from calibration.camera.views import FEWEST_POINTS, BoardView, on_a_plane
 from companion.base.geometry import FloatArray
 from companion.sense.vision.lens import FISHEYE

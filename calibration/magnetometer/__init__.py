@@ -1,1 +1,5 @@
 """`calibrate-magnetometer`."""
+
+from typing import Final
+
+PROGRAM: Final = "calibrate-magnetometer"

@@ -6,10 +6,10 @@ from typing import Annotated, Final, Literal
 import typer
 
 from calibration.command_line import ForceOption, run
+from calibration.magnetometer import PROGRAM
 from companion.base.command_line import ServeOption, VersionOption, new_app
 from companion.base.files import must_be_readable, must_exist
 
-PROGRAM: Final = "calibrate-magnetometer"
 HELP: Final = """Calibrate a magnetometer (hard and soft iron): live, or from a recording of a rotation.
 
 RECORDING is a text table (CSV), .npz, .tlog, ArduPilot .bin, PX4 .ulg, or a flight log of the app. Without

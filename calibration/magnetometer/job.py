@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from calibration.command_line import RefusedError, today
+from calibration.magnetometer import PROGRAM
 from calibration.magnetometer.calibrate import (
     Calibrated,
     TrueField,
@@ -20,7 +21,6 @@ from calibration.magnetometer.calibrate import (
     year_of,
 )
 from calibration.magnetometer.collect import collect
-from calibration.magnetometer.command import PROGRAM
 from calibration.magnetometer.ellipsoid import Asked
 from calibration.magnetometer.live import AutopilotCompass, Mpu9250Compass
 from calibration.magnetometer.recording import MagnetometerRecording

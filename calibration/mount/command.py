@@ -6,20 +6,11 @@ from typing import Annotated, Final
 import typer
 
 from calibration.command_line import ForceOption, PlotsOption, run
+from calibration.mount import EXPECTED, FACES, NAME
 from companion.base.command_line import ServeOption, VersionOption, new_app
 from companion.base.errors import ConfigError
 from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable, must_be_writable, must_exist
 
-NAME: Final = "calibrate-mount"
-# body axes (FRD): which way is down when the vehicle lies on that face
-FACES: Final[dict[str, tuple[float, float, float]]] = {
-    "level": (0.0, 0.0, 1.0),
-    "upside-down": (0.0, 0.0, -1.0),
-    "nose-down": (1.0, 0.0, 0.0),
-    "nose-up": (-1.0, 0.0, 0.0),
-    "right-down": (0.0, 1.0, 0.0),
-    "left-down": (0.0, -1.0, 0.0),
-}
 HELP: Final = """Calibrate the IMU and the camera mount (camera-IMU extrinsics and time offset) in the field.
 
 First calibrate the IMU (once, on a table). Then record while you move the vehicle over the pad, and solve
@@ -170,7 +161,6 @@ calibrate-mount camera swayed -o mount.yaml
 calibrate-mount camera flights/hover -o mount.yaml --plots pictures
 calibrate-mount camera swayed -o mount.yaml --camera my_camera.yaml
 """
-EXPECTED: Final = "expected the folder or the flight.mcap of 'calibrate-mount record' or of a flight"
 
 
 @cli.command("camera", help=CAMERA_HELP, short_help="Solve for the camera's mounting and time offset.")

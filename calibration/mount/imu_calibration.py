@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from calibration.command_line import RefusedError, listed, today
-from calibration.mount.command import FACES
+from calibration.mount import FACES
 from calibration.mount.record_motion import SensorOpener, connected_sensors, new_log, read_imu, until_done
 from calibration.mount.recording import ImuSamples, inertial_of
 from calibration.mount.result import judge, provenance, write_file

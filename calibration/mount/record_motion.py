@@ -16,7 +16,7 @@ import typer
 from numpy.typing import NDArray
 
 from calibration.command_line import RefusedError
-from calibration.mount.command import NAME
+from calibration.mount import NAME
 from calibration.mount.recording import INERTIAL, MARK, GravityFreePadDetector, RecordingMark
 from companion.base.clock import Clock, start_unix_s
 from companion.base.formats.mjpeg import MjpegServer, serving

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.mount.command import EXPECTED
+from calibration.mount import EXPECTED
 from companion.base.geometry import FloatArray, matrix_from_quat
 from companion.base.messages import Frame, ImuSample, PadSighting
 from companion.config import (

@@ -10,7 +10,7 @@ import typer
 import yaml
 
 from calibration.command_line import RefusedError, listed, today
-from calibration.mount.command import NAME
+from calibration.mount import NAME
 from calibration.mount.model import ACCEL_MATRIX, GYRO_BIAS, GYRO_MATRIX, POSITION, MountPrior, log
 from calibration.mount.plots import write_mount_plots
 from calibration.mount.recording import MountRecording, read_recording

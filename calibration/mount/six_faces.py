@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calibration.mount.command import FACES
+from calibration.mount import FACES
 from calibration.mount.recording import ImuSamples, Indices
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, euler_from_quat, quat_from_matrix
 from companion.base.messages import ImuSample

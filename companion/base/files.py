@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from companion.base.errors import ConfigError
 
+SETTINGS_FILE: Final = "a file of settings in YAML"
 YAML_SUFFIXES: Final = (".yaml", ".yml", ".json")  # JSON is YAML, too
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 # an installed package has them within it, a checkout beside it
@@ -79,16 +80,16 @@ def must_exist(path: Path, expected: str) -> None:
         raise ConfigError(f"{path}: cannot be read: No such file or directory; {expected}")
 
 
-def must_be_readable(path: Path) -> None:
+def must_be_readable(path: Path, expected: str = SETTINGS_FILE) -> None:
     """Open a file and close it again, before what takes long to import would read it.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: it cannot be read; the line ends in what was `expected`.
     """
     try:
         path.open("rb").close()
     except OSError as error:
-        raise cannot_read(path, error) from error
+        raise cannot_read(path, error, expected=expected) from error
 
 
 def must_be_writable(option: str, path: Path, suffix: str = "") -> None:

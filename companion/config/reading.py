@@ -16,7 +16,7 @@ from pydantic.config import JsonDict
 from pydantic_core import ErrorDetails
 
 from companion.base.errors import ConfigError
-from companion.base.files import cannot_read
+from companion.base.files import SETTINGS_FILE, cannot_read
 
 # ---------------------------------------------------------------- what an unknown key may have meant
 
@@ -160,7 +160,7 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
         data = _load(text)
     except OSError as error:
-        raise cannot_read(path, error, key) from error
+        raise cannot_read(path, error, key, SETTINGS_FILE) from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8 text at byte {error.start}") from error
     except RecursionError as error:

@@ -65,14 +65,14 @@ def logs_command(
         Literal["csv", "parquet"], typer.Option("--to", help="What to convert to.", metavar="csv|parquet")
     ] = "csv",
 ) -> None:
-    root = record or (SERVICE_FLIGHTS if SERVICE_FLIGHTS.is_dir() else FLIGHTS)
+    root = record or flights_folder()
     if action is LogsAction.LIST and (flight is not None or output is not None):
         raise ConfigError("logs list: lists all flights; expected no FLIGHT and no --output")
     if action is not LogsAction.LIST and flight is None:
         raise ConfigError(f"logs {action}: which one? Expected a FLIGHT: a number of the list, or a path")
     chosen = root if flight is None else find_flight(root, flight, chosen=record is not None)
     if action is LogsAction.EXPORT:
-        must_be_readable(chosen / LOG_NAMES[0])
+        must_be_readable(chosen / LOG_NAMES[0], "the folder of a flight")
     elif flight is not None:
         chosen = find_log(chosen)
     from companion.flightlog import logs
@@ -86,6 +86,11 @@ def logs_command(
         logs.convert_log(chosen, output, TableFormat(form))
     else:
         logs.repair(chosen, output)
+
+
+def flights_folder() -> Path:
+    """Where flights are recorded, if nothing else is said: by the service, or here."""
+    return SERVICE_FLIGHTS if SERVICE_FLIGHTS.is_dir() else FLIGHTS
 
 
 def find_flight(root: Path, flight: str, *, chosen: bool = False) -> Path:
@@ -115,6 +120,7 @@ The page needs no network and no other file, so it can be sent by mail.
 
 \b
 companion report flights/circle
+companion report 7
 companion report flights/flight-0007 -o flight.html
 companion report flight-0007.zip
 """
@@ -124,8 +130,8 @@ def report_command(
     path: Annotated[
         Path,
         typer.Argument(
-            metavar="DIR",
-            help="A flight's folder, its flight.mcap, another .mcap or an exported zip.",
+            metavar="FLIGHT",
+            help="A number or name of 'companion logs', a flight's folder, its flight.mcap or exported zip.",
             show_default=False,
         ),
     ],
@@ -141,6 +147,7 @@ def report_command(
 ) -> None:
     if output is not None and output.suffix.lower() not in {".html", ".htm"}:
         raise ConfigError(f"--output {output}: expected the page's name, as {output.stem}.html")
+    path = find_flight(flights_folder(), str(path))
     with unpacked(path) as flight:
         from companion.flightlog.report import write_report
 
@@ -152,7 +159,8 @@ def report_command(
 
 REPLAY_HELP: Final = """Run the estimators again over a recorded log, and hold them against what was recorded.
 
-LOG is a flight's folder, its flight.mcap or exported zip, an ArduPilot .bin, or a PX4 .ulg.
+LOG is a number or a name of 'companion logs', a flight's folder, its flight.mcap or exported zip, an
+ArduPilot .bin, or a PX4 .ulg.
 
 \b
 companion replay flights/circle
@@ -174,6 +182,7 @@ def replay_command(
         Path | None, typer.Option("--config", help="Other settings than the flight's own.", metavar="FILE")
     ] = None,
 ) -> None:
+    log = find_flight(flights_folder(), str(log))
     must_exist(log, "expected a flight's folder, flight.mcap or zip, an ArduPilot .bin or a PX4 .ulg")
     if config is not None:
         must_be_readable(config)

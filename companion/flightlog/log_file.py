@@ -31,7 +31,7 @@ LOSSES_RECORD: Final = "losses"
 
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-EXPECTED: Final = "a flight's folder, its flight.mcap or another recording as .mcap"
+EXPECTED: Final = "a flight's folder, its flight.mcap or exported zip, or another recording as .mcap"
 
 
 def log_file(path: Path) -> Path:

@@ -131,7 +131,9 @@ class FlightLog:
                 mcap = _McapFile(folder / LOG_NAMES[0], flushed_s)
                 tlog = _TlogFile(folder / LOG_NAMES[1], flushed_s)
             except OSError as error:
-                raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
+                raise ConfigError(
+                    f"--record {folder}: cannot be written: {error.strerror}; expected a folder"
+                ) from error
             self._disk = DiskWriter(waits=virtual)
             self._files = _Files(self._disk, mcap, tlog, folder)
 

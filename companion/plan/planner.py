@@ -179,6 +179,7 @@ class Planner:
             time_to_go_s=self._generator.time_to_go_s,
             on_ground=self._steering.presses_down or (self._monitor.lies and self._generator.active),
             unloading=self._steering.unloading,
+            contact_probability=self._steering.contact_probability,
             feet_near=self._steering.feet_near(inputs.range, now_s),
             conditions=conditions if self.phase in PACED else None,
         )

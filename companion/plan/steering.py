@@ -161,6 +161,11 @@ class PhaseSteering:
         """The share of the thrust (0 to 1) that is taken away, for the feet to carry."""
         return self.touchdown.unloading if self._machine.state in GOING_DOWN else 0.0
 
+    @property
+    def contact_probability(self) -> float:
+        """That the feet stand on the pad, on the way down to it."""
+        return self.touchdown.contact_probability if self._machine.state in GOING_DOWN else 0.0
+
     def feet_near(self, echo: RangeSample | None, now_s: float) -> bool:
         """Whether the feet may stand on something, by sight or echo; legs may be longer than told."""
         if self._machine.state not in BY_THE_PAD:

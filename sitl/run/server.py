@@ -21,12 +21,12 @@ from typing import Any, Final
 from companion.base.clock import Clock, start_unix_s
 from companion.base.files import write_atomically
 from companion.base.signals import stopping_on_signals
-from sitl.commands import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import PtyPort
 from sitl.devices.socket_servers import FrameServer, serve_registers
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.links import TcpServer, UdpServer
+from sitl.run import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT
 from sitl.run.process_control import (
     REPORT_NAME,
     SENSOR_BAUD,

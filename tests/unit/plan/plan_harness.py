@@ -267,6 +267,7 @@ class PlanWorld:
         if lead_s > 0.0:
             velocity = (velocity[0], velocity[1], velocity[2] + self.blind_drift_m_s)
         relative_velocity = [a - b for a, b in zip(velocity, self.velocity, strict=True)]
+        variances = (0.005**2 + (0.1 * lead_s) ** 2, 0.02**2)  # of place and velocity
         return PadState(
             time_s=self.now_s,
             relative_position_ned_m=(float(noisy[0]), float(noisy[1]), float(noisy[2])),
@@ -278,6 +279,10 @@ class PlanWorld:
             position_std_m=0.02,
             velocity_std_m_s=0.02,
             seen_time_s=self._seen_s,
+            covariance=tuple(
+                tuple((variances[row // 3] if row == column else 0.0) for column in range(6))
+                for row in range(6)
+            ),
         )
 
     def _echo(self) -> RangeSample | None:

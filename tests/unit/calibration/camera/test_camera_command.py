@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import yaml
 
+from calibration.camera import NAME
 from calibration.camera.board import CalibrationBoard, board_yaml
-from calibration.camera.command import NAME, app
+from calibration.camera.command import app
 from calibration.command_line import run
 from companion.base.messages import Frame
 from companion.config import CONFIG_FOLDER, CameraConfig, ConfigError, find_file, load_model

@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from calibration.command_line import run
-from calibration.mount import record_motion
-from calibration.mount.command import NAME, cli
+from calibration.mount import NAME, record_motion
+from calibration.mount.command import cli
 from calibration.mount.imu_calibration import calibrate_accelerometer, faces_from
 from calibration.mount.record_motion import MotionCoverage, MotionProgress
 from calibration.mount.recording import read_recording

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.mount.command import FACES
+from calibration.mount import FACES
 from calibration.mount.imu_calibration import accelerometer_calibration, gyro_calibration, mounting_line
 from calibration.mount.recording import ImuSamples
 from calibration.mount.six_faces import (
