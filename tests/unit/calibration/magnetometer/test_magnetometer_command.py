@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from calibration.command_line import run
-from calibration.magnetometer import command, job
+from calibration.magnetometer import PROGRAM, command, job
 from companion.base.geometry import FloatArray
 from companion.base.magnetic_field import field_ned_ut
 from companion.config import ConfigError, load_model
@@ -31,7 +31,7 @@ def csv(name: str, raw: FloatArray, force: FloatArray | None = None) -> str:
 
 def calibrate(*words: str) -> int:
     with pytest.raises(SystemExit) as ended:
-        run(command.cli, command.PROGRAM, words)
+        run(command.cli, PROGRAM, words)
     assert isinstance(ended.value.code, int)
     return ended.value.code
 
