@@ -20,8 +20,8 @@ from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
 from companion.base.motion import Motion
 from companion.config import Box, Cylinder, PlanConfig, Shape
-from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
+from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 SMOKE: Final = ("--scenes", "2")

@@ -43,9 +43,9 @@ from companion.plan.mission.table import (
     StateMachine,
     impossible,
 )
-from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
 from companion.plan.steering import PhaseSteering
+from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.reference_generator import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
 

@@ -63,6 +63,17 @@ def test_no_module_imports_what_it_must_not() -> None:
     assert " 0 broken" in done.stdout
 
 
+def test_the_folders_of_the_planner_import_in_one_direction() -> None:
+    graph = grimp.build_graph(*PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
+    imports: defaultdict[str, set[str]] = defaultdict(set)
+    for importer in graph.find_descendants("companion.plan"):
+        for imported in graph.find_modules_directly_imported_by(importer):
+            here, there = (".".join(name.split(".")[:3]) for name in (importer, imported))
+            if here != there and there.startswith("companion.plan."):
+                imports[here].add(there)
+    TopologicalSorter(imports).prepare()  # raises a CycleError that names the circle
+
+
 def test_no_module_imports_itself_by_way_of_others_not_even_late() -> None:
     """Imports within functions count too; those for the type checker alone are none."""
     graph = grimp.build_graph(*PACKAGES, exclude_type_checking_imports=True, cache_dir=None)

@@ -17,7 +17,7 @@ from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack
 from companion.plan.mission.readiness import not_ready_to_arm
 from companion.plan.mission.states import State
-from companion.plan.obstacles.avoidance import Avoidance
+from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.waypoints import Waypoints
 
 REMIND_S = 10.0  # of what is waited for

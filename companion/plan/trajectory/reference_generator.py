@@ -19,7 +19,7 @@ from companion.base.geometry import Vector3, add, dot, norm, scale, subtract, wr
 from companion.base.messages import DescentCone, LevelOff, Reference
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
-from companion.plan.obstacles.avoidance import Avoidance
+from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.coordinate_frames import STILL
 from companion.plan.trajectory.course import Course, PlannedPath
 from companion.plan.trajectory.min_jerk import (

@@ -10,8 +10,8 @@ import pytest
 from companion.base.geometry import Vector3, add, norm, scale, subtract
 from companion.base.motion import Motion
 from companion.config import Box, Cylinder, PlanConfig, Shape
-from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, _graph, clearance_m, line_clear, route
+from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.min_jerk import plan
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 

@@ -9,7 +9,7 @@ import pytest
 from companion.base.geometry import norm, subtract
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
-from companion.plan.obstacles.avoidance import Avoidance
+from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.course import Course, PlannedPath, halting, paced, through
 from companion.plan.trajectory.min_jerk import Trajectory, brake, carried, plan, quintic
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
