@@ -31,7 +31,7 @@ UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every fr
 # take 0.2 s of it: so old the pad is off its predicted place by 0.4 m at most, if it brakes with 3 m/s².
 KNOWN_S: Final = 0.5
 # In the air the sink comes back to the one asked for within this (the vertical loop); what gusts make of it
-# in a cycle is learnt over `_LEARNS_S`, and taken for so much at first.
+# in a cycle is learnt over `_LEARNS_S`, and taken for no less than `_GUST_M_S`.
 _SINK_TAU_S: Final = 0.25
 _GUST_M_S: Final = 0.05
 _LEARNS_S: Final = 1.0
@@ -47,7 +47,6 @@ _OUTLIER_M_S: Final = 0.3
 _LEGS_WRONG: Final = 0.05  # the share of files that are wrong about the legs, by up to `WITHIN_HAND_M`
 _ECHO_STD_M: Final = 0.02
 _LANDED_RATIO: Final = 2.0  # a cycle: false reports of standing are rare, but last
-_SURE: Final = 0.9
 _SUREST: Final = 1.0 - 1e-6
 _TINY: Final = 1e-12
 _NORMAL: Final = NormalDist()
@@ -160,18 +159,17 @@ class ContactFilter:
     sink that stops tells within two cycles. What nothing feels (`sink_m_s` None) is no contact.
 
     `share`, of the weight, is what the feet are given, within `contact_s`: it grows while they rather stand,
-    else it shrinks. What only a gust holds up sinks at once without its thrust, and is told from what stands;
-    feet that carry weight do not slide. All of it is contact.
+    else it shrinks. What only a gust holds up sinks without its thrust, and is told from what stands; feet
+    that carry weight do not slide. All of it, for as long as a vehicle takes to respond, is contact.
     """
 
     def __init__(self, config: TouchdownConfig, leg_std_m: float) -> None:
         """In the air; `leg_std_m`: standard deviation of the leg height."""
         self._contact_s, self._leg_std_m = max(config.contact_s, 1e-3), leg_std_m
-        self._variance_m2_s2 = (
-            _GUST_M_S**2
-        )  # of what a cycle's sink differs by from the expected one, in the air
+        self._variance_m2_s2 = 0.0  # of a cycle's sink about the expected one, in the air
         self._sink_m_s: float | None = None
         self._updated_s = -math.inf
+        self._carried_s = 0.0  # how long the feet have had all of the weight
         self.probability = self.share = 0.0
 
     def update(self, feet: FeetMotion, now_s: float, *, landed: bool = False) -> None:
@@ -185,6 +183,7 @@ class ContactFilter:
             self.probability = 0.0
         self.share += (2.0 * self.probability - 1.0) * elapsed_s / self._contact_s
         self.share = max(0.0, min(1.0, self.share))
+        self._carried_s = self._carried_s + elapsed_s if self.share == 1.0 else 0.0
 
     def _compare(
         self, feet: FeetMotion, before_m_s: float, sink_m_s: float, elapsed_s: float, *, landed: bool
@@ -194,10 +193,10 @@ class ContactFilter:
         expected_m_s = meant_m_s + (before_m_s - meant_m_s) * math.exp(-elapsed_s / _SINK_TAU_S)
         surprise_m_s, noise = sink_m_s - expected_m_s, feet.sink_std_m_s**2
         left_m_s = before_m_s * math.exp(-elapsed_s / _LEGS_TAU_S)
-        flies = _likelihood(surprise_m_s, self._variance_m2_s2 + noise)
-        if feet.asked_m_s is None:  # it may hold its height by itself
-            flies = max(flies, _likelihood(sink_m_s, self._variance_m2_s2 + noise))
+        flies = _likelihood(surprise_m_s, max(self._variance_m2_s2, _GUST_M_S**2) + noise)
         rests = _likelihood(sink_m_s - left_m_s, _REST_M_S**2 + noise)
+        if feet.asked_m_s is None:
+            flies = max(flies, rests)  # it may hold its height by itself
         hits = _density(sink_m_s, _HIT_M_S**2 + noise)
         stood, flew = self.probability, 1.0 - self.probability
         way_m = max(meant_m_s, before_m_s, 0.0) * elapsed_s
@@ -232,7 +231,7 @@ class ContactFilter:
     @property
     def contact(self) -> bool:
         """Whether it stands and its feet carry it."""
-        return self.share >= 1.0 and self.probability >= _SURE
+        return self.touching and self._carried_s >= RESPONDS_S
 
     def in_words(self) -> str:
         """How sure that is."""
