@@ -326,6 +326,11 @@ class PadState:
         """Standard deviation (m) of `height_m`; without a covariance it is not known at all."""
         return math.sqrt(max(0.0, self.covariance[2][2])) if self.covariance else math.inf
 
+    @property
+    def sink_std_m_s(self) -> float:
+        """Standard deviation (m/s) of `sink_m_s`; without a covariance it is not known at all."""
+        return math.sqrt(max(0.0, self.covariance[5][5])) if self.covariance else math.inf
+
     def lateral_std_m(self, ahead_s: float = 0.0) -> float:
         """Standard deviation (m) of the horizontal relative position on an axis, `ahead_s` from `time_s`.
 

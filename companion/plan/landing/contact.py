@@ -44,7 +44,9 @@ _STANDS_FOR_S: Final = 10.0
 # One sink in a hundred is anything: an estimate jumps.
 _OUTLIERS: Final = 0.01
 _OUTLIER_M_S: Final = 0.3
-_LEGS_WRONG: Final = 0.05  # the share of files that are wrong about the legs, by up to `WITHIN_HAND_M`
+# The share of files that are wrong about the legs, and by how much; by more than `WITHIN_HAND_M` none is.
+_LEGS_WRONG: Final = 0.05
+_WRONG_LEGS_M: Final = 0.05
 _ECHO_STD_M: Final = 0.02
 _LANDED_RATIO: Final = 2.0  # a cycle: false reports of standing are rare, but last
 _SUREST: Final = 1.0 - 1e-6
@@ -77,14 +79,14 @@ class FeetMotion:
     """How high the lowest foot is over what it is to stand on (m), and how fast it sinks (m/s).
 
     By the leg height of vehicle file and measurements. None where nothing tells; standard deviations beside.
-    `asked_m_s` is the sink of the reference, None while nobody knows whether the autopilot follows it.
+    `asked_m_s` is the sink that is asked for.
     """
 
     over_m: float | None
     over_std_m: float
     sink_m_s: float | None
     sink_std_m_s: float
-    asked_m_s: float | None
+    asked_m_s: float
 
     def low(self, margin_m: float) -> bool:
         """Whether the foot is down by its height."""
@@ -101,36 +103,44 @@ def feet_motion(
     vehicle: VehicleConfig,
     obeys: bool,
     felt: bool,
-    tilt_rad: float = 0.0,
+    hangs_m: float = 0.0,
     state: VehicleState | None = None,
 ) -> FeetMotion:
     """The feet's motion over the pad by camera and IMU, or by the echo where that is surer.
 
-    A sink is only `felt` while the IMU is heard; else it is predicted, and nothing. The pad's own motion is
-    known for `blind_s`; after that the vehicle's is taken, `state`, if it is given.
-    An autopilot that does not obey may hold its height by itself: then an echo tells a hand's breadth over
-    the pad from standing on it no better than the leg height is known. The lowest foot counts: one that holds
-    a tilting vehicle up is dragged over the pad by what that vehicle does to come back over the middle.
+    A sink is `felt` while the IMU is heard; else it is predicted, and tells nothing. Nor does one that stops
+    tell anything of an autopilot that does not obey: it may hold its height by itself. The pad's own motion
+    is known for `blind_s`; after that the vehicle's is taken, `state`, if it is given.
     """
-    hangs_m = vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
-    height_m, std_m = (None, math.inf) if sight is None else (sight.height_m, sight.height_std_m)
-    echo_m = echo_height_m(echo, vehicle, now_s) if obeys else None
-    if echo_m is not None and std_m > _ECHO_STD_M:
+    height_m, std_m = math.nan, math.inf
+    if sight is not None and sight.age_s <= KNOWN_S:
+        height_m, std_m = sight.height_m, sight.height_std_m
+    echo_m = echo_height_m(echo, vehicle, now_s)
+    if echo_m is not None and not std_m <= _ECHO_STD_M:
         height_m, std_m = echo_m, _ECHO_STD_M
-    sink_m_s, sink_std_m_s = None, 0.0
-    if not felt:
-        pass
-    elif sight is not None and sight.age_s <= config.blind_s:
-        sink_m_s, sink_std_m_s = sight.sink_m_s, sight.velocity_std_m_s
+    sink_m_s, sink_std_m_s = math.nan, math.inf
+    if sight is not None and sight.age_s <= config.blind_s:
+        sink_m_s, sink_std_m_s = sight.sink_m_s, sight.sink_std_m_s
     elif state is not None:
-        sink_m_s, sink_std_m_s = state.velocity_ned_m_s[2], state.velocity_std_m_s
+        # an axis of three
+        sink_m_s, sink_std_m_s = state.velocity_ned_m_s[2], state.velocity_std_m_s / math.sqrt(3.0)
+    known = math.isfinite(height_m + std_m)
+    tells = felt and obeys and math.isfinite(sink_m_s) and sink_std_m_s <= _HIT_M_S
     return FeetMotion(
-        None if height_m is None or math.isinf(std_m) else height_m - vehicle.leg_height_m - hangs_m,
+        height_m - vehicle.leg_height_m - hangs_m if known else None,
         std_m,
-        sink_m_s,
+        sink_m_s if tells else None,
         sink_std_m_s,
-        asked_m_s if obeys else None,
+        asked_m_s,
     )
+
+
+def lowest_foot_m(vehicle: VehicleConfig, tilt_rad: float) -> float:
+    """How much lower the lowest foot of a tilting vehicle is.
+
+    One that holds such a vehicle up is dragged over the pad by what that does to come back over the middle.
+    """
+    return vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
 
 
 def echo_height_m(echo: RangeSample | None, vehicle: VehicleConfig, now_s: float) -> float | None:
@@ -156,7 +166,7 @@ class ContactFilter:
     In the air the sink comes back to the one asked for, and scatters as it has done on the way down.
     Standing, what the legs give dies out. The feet meet the pad with the hazard of the leg height's error: no
     height alone shows contact, since camera and echo go by the same leg height; where they may meet it, a
-    sink that stops tells within two cycles. What nothing feels (`sink_m_s` None) is no contact.
+    sink that stops tells within two cycles. Where no sink tells (`sink_m_s` None) there is no contact.
 
     `share`, of the weight, is what the feet are given, within `contact_s`: it grows while they rather stand,
     else it shrinks. What only a gust holds up sinks without its thrust, and is told from what stands; feet
@@ -189,17 +199,14 @@ class ContactFilter:
         self, feet: FeetMotion, before_m_s: float, sink_m_s: float, elapsed_s: float, *, landed: bool
     ) -> None:
         """Bayes' rule over a cycle: both modes' expectations against the sink that is felt."""
-        meant_m_s = before_m_s if feet.asked_m_s is None else feet.asked_m_s
-        expected_m_s = meant_m_s + (before_m_s - meant_m_s) * math.exp(-elapsed_s / _SINK_TAU_S)
+        expected_m_s = feet.asked_m_s + (before_m_s - feet.asked_m_s) * math.exp(-elapsed_s / _SINK_TAU_S)
         surprise_m_s, noise = sink_m_s - expected_m_s, feet.sink_std_m_s**2
         left_m_s = before_m_s * math.exp(-elapsed_s / _LEGS_TAU_S)
         flies = _likelihood(surprise_m_s, max(self._variance_m2_s2, _GUST_M_S**2) + noise)
         rests = _likelihood(sink_m_s - left_m_s, _REST_M_S**2 + noise)
-        if feet.asked_m_s is None:
-            flies = max(flies, rests)  # it may hold its height by itself
         hits = _density(sink_m_s, _HIT_M_S**2 + noise)
         stood, flew = self.probability, 1.0 - self.probability
-        way_m = max(meant_m_s, before_m_s, 0.0) * elapsed_s
+        way_m = max(feet.asked_m_s, before_m_s, 0.0) * elapsed_s
         # what is met makes nothing sink faster
         meets = -math.expm1(-self._hazard_m(feet) * way_m) if sink_m_s <= max(0.0, before_m_s) else 0.0
         leaves = elapsed_s / _STANDS_FOR_S
@@ -212,16 +219,15 @@ class ContactFilter:
 
     def _hazard_m(self, feet: FeetMotion) -> float:
         """Of meeting the pad in the next metre down, for feet that have not met it so far (1/m)."""
-        if feet.over_m is None:
+        if feet.over_m is None or feet.over_m > WITHIN_HAND_M:
             return 0.0
-        if feet.over_m > WITHIN_HAND_M:
-            return 0.0
-        std_m = max(_TINY, math.hypot(self._leg_std_m, feet.over_std_m))
-        # a ruler's error, or any
-        anywhere = _LEGS_WRONG / (2.0 * WITHIN_HAND_M) if feet.over_m > -WITHIN_HAND_M else 0.0
-        density = (1.0 - _LEGS_WRONG) * _NORMAL.pdf(feet.over_m / std_m) / std_m + anywhere
-        not_yet = (1.0 - _LEGS_WRONG) * _NORMAL.cdf(feet.over_m / std_m)
-        return density / max(_TINY, not_yet + anywhere * (feet.over_m + WITHIN_HAND_M))
+        density = not_yet = 0.0
+        for weight, std_m in ((1.0 - _LEGS_WRONG, self._leg_std_m), (_LEGS_WRONG, _WRONG_LEGS_M)):
+            spread_m = math.hypot(std_m, feet.over_std_m) + _TINY
+            density += weight * _NORMAL.pdf(feet.over_m / spread_m) / spread_m
+            not_yet += weight * _NORMAL.cdf(feet.over_m / spread_m)
+        # so far below where the feet are told to be that neither is left: as the wider one goes on (Mills)
+        return density / not_yet if not_yet > _TINY else -feet.over_m / _WRONG_LEGS_M**2
 
     @property
     def touching(self) -> bool:

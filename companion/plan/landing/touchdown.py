@@ -30,6 +30,7 @@ and, by the mission's table, the pad is inside the fence until the landing ends.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LandedState, LevelOff, PadState, RangeSample, VehicleState
@@ -50,6 +51,7 @@ from companion.plan.landing.contact import (
     echo_height_m,
     feet_motion,
     imu_fresh,
+    lowest_foot_m,
 )
 from companion.plan.landing.levelling import Levelling, TiltPrediction, level_at
 from companion.plan.landing.relative_state import vehicle_motion
@@ -126,7 +128,7 @@ class TouchdownSequence:
         No more than what would make a fall, from where the feet may still be, too hard a contact.
         """
         share, sight = self._contact.share, self._sight
-        if share > 0.0 and sight is not None and sight.unseen_s <= UNSEEN_S:
+        if share > 0.0 and sight is not None:
             falls_m = sight.height_m - self._vehicle.leg_height_m - self._leg_std_m
             if falls_m > 0.0:
                 share = min(share, self._config.fastest_contact_m_s**2 / (2.0 * GRAVITY_M_S2 * falls_m))
@@ -225,6 +227,7 @@ class TouchdownSequence:
             return MissionEvent.MISALIGNED, slides
         # far aside it tilts because it flies back or escapes: it is not about to stand
         tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self.tilt.tilt_rad
+        hangs_m = lowest_foot_m(self._vehicle, tilt_rad)
         asked_m_s, obeys = self._generator.at(now_s).velocity_m_s[2], not inputs.link.silent
         feet = feet_motion(
             sight,
@@ -235,11 +238,12 @@ class TouchdownSequence:
             vehicle=self._vehicle,
             obeys=obeys,
             felt=not silent,
-            tilt_rad=tilt_rad,
+            hangs_m=hangs_m,
         )
         self._contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
-        short = echo_m is not None and echo_m <= self._vehicle.leg_height_m + self._config.contact_margin_m
+        feet_m = self._vehicle.leg_height_m + hangs_m + self._config.contact_margin_m
+        short = echo_m is not None and echo_m <= feet_m
         within_hand = obeys and sight is not None and self._within_hand(sight, unfelt_s)
         self._short_echoes.note(inputs.range if within_hand and short else None)
         blind = sight is not None and sight.age_s > self._config.blind_s
@@ -294,7 +298,8 @@ class TouchdownSequence:
         # Below twice contact_margin_m the reference is left to run ahead, so that a vehicle that stands is
         # told by not following it.
         high = sight.height_m > self._low_m
-        held_up = sight.sink_m_s <= _HELD_UP * asked_m_s
+        begun = asked_m_s >= 0.5 * self._config.contact_speed_m_s
+        held_up = begun and sight.sink_m_s <= _HELD_UP * asked_m_s
         self._give_way(sight if high and not held_up else None, now_s)
         tilts_on = not self._levelling.begun
         self._levelling.expect(sight, self.tilt, now_s)
@@ -398,10 +403,10 @@ class TouchdownSequence:
                 self._go_straight_down(vehicle, now_s)
         if landed is LandedState.ON_GROUND:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
-        # it means to go down, though its reference begins anew with the vehicle's own speed
+        ours = inputs.autopilot.offboard
         feet = feet_motion(
             sight,
-            self._config.contact_speed_m_s,
+            self._generator.at(now_s).velocity_m_s[2] if ours else self._config.contact_speed_m_s,
             inputs.range,
             now_s,
             config=self._config,
@@ -410,6 +415,9 @@ class TouchdownSequence:
             felt=fresh,
             state=vehicle,
         )
+        if not ours and not feet.low(self._config.contact_margin_m):
+            # under the autopilot's own LAND no weight is taken away, which would refute a contact
+            feet = replace(feet, sink_m_s=None)
         self._contact.update(feet, now_s)
         return (MissionEvent.CONTACT, self._contact.in_words()) if self._contact.contact else None
 

@@ -12,7 +12,7 @@ from companion.base.messages import AutopilotState, LandedState, LinkHealth, Pad
 from companion.plan.debounce import Debounce
 from companion.plan.events import MissionEvent
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.contact import RESPONDS_S, ContactFilter, FeetMotion, feet_motion
+from companion.plan.landing.contact import RESPONDS_S, ContactFilter, FeetMotion, feet_motion, lowest_foot_m
 from companion.plan.mission.states import State
 from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.landing.touchdown_attempt import (
@@ -25,7 +25,8 @@ from tests.unit.plan.landing.touchdown_attempt import (
 )
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
-UNSURE = tuple(tuple(0.01 if row == column else 0.0 for column in range(6)) for row in range(6))
+# of the height, to 10 cm
+UNSURE = tuple(tuple((0.01, 1e-4)[row // 3] * (row == column) for column in range(6)) for row in range(6))
 
 
 def test_half_a_second_of_blindness_on_the_final_descent_is_borne_and_two_are_not() -> None:
@@ -302,22 +303,25 @@ def test_the_feet_are_as_high_as_the_surer_of_camera_and_echo_has_them() -> None
     assert feet(clear, echo).over_m == pytest.approx(0.05)
     assert feet(unsure, echo).over_m == pytest.approx(by_echo_m)
     assert feet(unsure, old).over_m == pytest.approx(0.05)
-    assert feet(unsure, echo, obeys=False).over_m == pytest.approx(0.05)
+    assert feet(replace(clear, seen_time_s=-1.0), old).over_m is None
     assert feet(None, None).over_m is None
 
 
 @pytest.mark.parametrize(("tilt_deg", "counts_deg"), [(0.0, 0.0), (8.0, 8.0), (40.0, 15.0)])
 def test_the_foot_that_hangs_lowest_is_the_one_that_touches(tilt_deg: float, counts_deg: float) -> None:
-    found = feet(sight(height=LEG_M + 0.1), tilt_rad=math.radians(tilt_deg))
+    hangs = lowest_foot_m(VEHICLE, math.radians(tilt_deg))
+    found = feet(sight(height=LEG_M + 0.1), hangs_m=hangs)
     hangs_m = VEHICLE.foot_reach_m * math.sin(math.radians(counts_deg))
     assert found.over_m == pytest.approx(0.1 - hangs_m)
 
 
-def test_a_sink_that_nothing_feels_and_an_order_that_nobody_hears_are_unknown() -> None:
+def test_a_sink_that_nothing_feels_nobody_asked_for_or_nothing_is_sure_of_tells_nothing() -> None:
     seen = sight(height=0.3, velocity=(0.0, 0.0, 0.2))
     assert feet(seen).sink_m_s == pytest.approx(0.2)
     assert feet(seen, felt=False).sink_m_s is None
-    assert feet(seen, obeys=False).asked_m_s is None
+    assert feet(seen, obeys=False).sink_m_s is None
+    assert feet(replace(seen, covariance=position_covariance(0.15))).sink_m_s is None
+    assert feet(replace(seen, relative_position_ned_m=(0.0, 0.0, math.nan))).over_m is None
 
 
 def fall_on(
@@ -352,8 +356,17 @@ def test_a_gust_that_slows_the_sink_near_the_pad_is_none() -> None:
     assert fall_on(ContactFilter(CONFIG, 0.022), 0.03, slows + slows[::-1]) == 0
 
 
+@pytest.mark.parametrize("over_m", [-0.101, -0.15, -0.25, -0.6])
+def test_legs_shorter_than_told_are_found_by_the_stop_alone(over_m: float) -> None:
+    for leg_std_m in (0.005, 0.022):
+        contact = ContactFilter(CONFIG, leg_std_m)
+        for k, sink_m_s in enumerate([0.2, 0.2, 0.2, *[0.0] * 30]):
+            contact.update(FeetMotion(over_m, 0.002, sink_m_s, 0.01, 0.2), k * CYCLE_S)
+        assert contact.contact
+
+
 def test_a_deck_whose_sink_is_hardly_known_is_found_later() -> None:
-    sure, unsure = (fall_on(ContactFilter(CONFIG, 0.022), 0.03, [0.0] * 60, std_m_s=m) for m in (0.01, 0.2))
+    sure, unsure = (fall_on(ContactFilter(CONFIG, 0.022), 0.03, [0.0] * 60, std_m_s=m) for m in (0.01, 0.1))
     assert sure < unsure
 
 
