@@ -166,7 +166,7 @@ class ContactFilter:
     In the air the sink comes back to the one asked for, and scatters as it has done on the way down.
     Standing, what the legs give dies out. The feet meet the pad with the hazard of the leg height's error: no
     height alone shows contact, since camera and echo go by the same leg height; where they may meet it, a
-    sink that stops tells within two cycles. Where no sink tells (`sink_m_s` None) there is no contact.
+    sink that stops tells within two cycles. Where no sink tells (`sink_m_s` None) it stays as it is.
 
     `share`, of the weight, is what the feet are given, within `contact_s`: it grows while they rather stand,
     else it shrinks. What only a gust holds up sinks without its thrust, and is told from what stands; feet
@@ -189,8 +189,6 @@ class ContactFilter:
         before_m_s, self._sink_m_s = self._sink_m_s, feet.sink_m_s
         if before_m_s is not None and feet.sink_m_s is not None:
             self._compare(feet, before_m_s, feet.sink_m_s, elapsed_s, landed=landed)
-        elif feet.sink_m_s is None:
-            self.probability = 0.0
         self.share += (2.0 * self.probability - 1.0) * elapsed_s / self._contact_s
         self.share = max(0.0, min(1.0, self.share))
         self._carried_s = self._carried_s + elapsed_s if self.share == 1.0 else 0.0
