@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Quaternion, norm, tilt_from_quat
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
+from companion.base.motion import Motion
 from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
@@ -30,28 +30,8 @@ UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every fr
 # What is older is no sign, and no estimate to fly by. A pad's age counts from the exposure, and vision may
 # take 0.2 s of it: so old the pad is off its predicted place by 0.4 m at most, if it brakes with 3 m/s².
 KNOWN_S: Final = 0.5
-# In the air the sink comes back to the one asked for within this (the vertical loop); what gusts make of it
-# in a cycle is learnt over `_LEARNS_S`, and taken for no less than `_GUST_M_S`.
-_SINK_TAU_S: Final = 0.25
-_GUST_M_S: Final = 0.05
-_LEARNS_S: Final = 1.0
-# Standing: the sink after the blow, how fast what the legs give dies out, and what is left; how long it
-# stands where gusts and a deck lift it again.
-_HIT_M_S: Final = 0.1
-_LEGS_TAU_S: Final = 0.03
-_REST_M_S: Final = 0.04
-_STANDS_FOR_S: Final = 10.0
-# One sink in a hundred is anything: an estimate jumps.
-_OUTLIERS: Final = 0.01
-_OUTLIER_M_S: Final = 0.3
-# The share of files that are wrong about the legs, and by how much; by more than `WITHIN_HAND_M` none is.
-_LEGS_WRONG: Final = 0.05
-_WRONG_LEGS_M: Final = 0.05
-_ECHO_STD_M: Final = 0.02
-_LANDED_RATIO: Final = 2.0  # a cycle: false reports of standing are rare, but last
-_SUREST: Final = 1.0 - 1e-6
-_TINY: Final = 1e-12
-_NORMAL: Final = NormalDist()
+# Held up so far it has stopped, but for what the other feet still come down: a third of the sink asked for.
+_STALLED: Final = 1.0 / 3.0
 # Over the standing height that the file says, the feet may stand: legs may be longer than that.
 WITHIN_HAND_M: Final = 0.1
 # A pad this far below the feet is not under them: a bounce, a soft pad and an echo's error are less.
@@ -75,72 +55,70 @@ _DRAGGED_M_S: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class FeetMotion:
-    """How high the lowest foot is over what it is to stand on (m), and how fast it sinks (m/s).
+class ContactSigns:
+    """The signs of contact with the pad: two measure the height, two feel the contact.
 
-    By the leg height of vehicle file and measurements. None where nothing tells; standard deviations beside.
-    `asked_m_s` is the sink that is asked for.
+    `held_up` compares the sink with the one asked for: 1 at rest, 0 at half of it, -1 sinking as asked, and
+    where nothing tells.
     """
 
-    over_m: float | None
-    over_std_m: float
-    sink_m_s: float | None
-    sink_std_m_s: float
-    asked_m_s: float
+    low: bool
+    held_up: float
+    short_echo: bool
+    landed: bool
 
-    def low(self, margin_m: float) -> bool:
-        """Whether the foot is down by its height."""
-        return self.over_m is not None and self.over_m <= margin_m
+    @property
+    def stalled(self) -> bool:
+        """Whether it does not sink although it is asked to."""
+        return self.held_up >= _STALLED
+
+    @property
+    def height_says_down(self) -> bool:
+        """Whether a height says that the feet are down; both go by the same leg height."""
+        return self.low or self.short_echo
+
+    @property
+    def down(self) -> bool:
+        """Whether a height, or else both that are felt, says that the feet are down."""
+        return self.height_says_down or (self.stalled and self.landed)
+
+    def in_words(self) -> str:
+        """Their names."""
+        names = [name for name in ("low", "stalled", "short_echo", "landed") if getattr(self, name)]
+        return ", ".join(names).replace("_", " ")
 
 
-def feet_motion(
+def contact_signs(
     sight: PadState | None,
-    asked_m_s: float,
+    reference: Motion,
     echo: RangeSample | None,
+    landed: LandedState,
     now_s: float,
     *,
     config: TouchdownConfig,
     vehicle: VehicleConfig,
-    obeys: bool,
-    felt: bool,
-    hangs_m: float = 0.0,
-    state: VehicleState | None = None,
-) -> FeetMotion:
-    """The feet's motion over the pad by camera and IMU, or by the echo where that is surer.
+    tilt_rad: float = 0.0,
+    sink_m_s: float | None = None,
+    imu_fresh: bool = True,
+) -> ContactSigns:
+    """Read the signs; `reference` is vehicle minus pad, as `sight` is.
 
-    A sink is `felt` while the IMU is heard; else it is predicted, and tells nothing. Nor does one that stops
-    tell anything of an autopilot that does not obey: it may hold its height by itself. The pad's own motion
-    is known for `blind_s`; after that the vehicle's is taken, `state`, if it is given.
+    Where the pad is counts only while it is seen; that the vehicle stopped sinking it feels itself, and the
+    pad's own motion is known for `blind_s`; after that `sink_m_s`, if given, is the sink. Without the IMU
+    that is predicted and not felt. The lowest foot counts: one that holds a tilting vehicle up is
+    dragged over the pad by what that vehicle does to come back over the middle.
     """
-    height_m, std_m = math.nan, math.inf
-    if sight is not None and sight.age_s <= KNOWN_S:
-        height_m, std_m = sight.height_m, sight.height_std_m
-    echo_m = echo_height_m(echo, vehicle, now_s)
-    if echo_m is not None and not std_m <= _ECHO_STD_M:
-        height_m, std_m = echo_m, _ECHO_STD_M
-    sink_m_s, sink_std_m_s = math.nan, math.inf
+    hangs_m = vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
+    feet_m = vehicle.leg_height_m + hangs_m + config.contact_margin_m
+    low = sight is not None and sight.age_s <= KNOWN_S and sight.height_m <= feet_m
     if sight is not None and sight.age_s <= config.blind_s:
-        sink_m_s, sink_std_m_s = sight.sink_m_s, sight.sink_std_m_s
-    elif state is not None:
-        # an axis of three
-        sink_m_s, sink_std_m_s = state.velocity_ned_m_s[2], state.velocity_std_m_s / math.sqrt(3.0)
-    known = math.isfinite(height_m + std_m)
-    tells = felt and obeys and math.isfinite(sink_m_s) and sink_std_m_s <= _HIT_M_S
-    return FeetMotion(
-        height_m - vehicle.leg_height_m - hangs_m if known else None,
-        std_m,
-        sink_m_s if tells else None,
-        sink_std_m_s,
-        asked_m_s,
-    )
-
-
-def lowest_foot_m(vehicle: VehicleConfig, tilt_rad: float) -> float:
-    """How much lower the lowest foot of a tilting vehicle is.
-
-    One that holds such a vehicle up is dragged over the pad by what that does to come back over the middle.
-    """
-    return vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
+        sink_m_s = sight.sink_m_s
+    # the reference goes on down and the vehicle does not; it may bounce
+    asked_m_s, held_up = reference.velocity_m_s[2], -1.0
+    if imu_fresh and sink_m_s is not None and asked_m_s >= 0.5 * config.contact_speed_m_s:
+        held_up = max(-1.0, min(1.0, 1.0 - 2.0 * sink_m_s / asked_m_s))
+    short_echo = _echo_within(echo, feet_m - vehicle.range_position_body_m[2], now_s)
+    return ContactSigns(low, held_up, short_echo, landed is LandedState.ON_GROUND)
 
 
 def echo_height_m(echo: RangeSample | None, vehicle: VehicleConfig, now_s: float) -> float | None:
@@ -160,97 +138,40 @@ def imu_fresh(vehicle: VehicleState | None, now_s: float) -> bool:
     return vehicle is not None and now_s - vehicle.sensed_time_s <= FRESH_S
 
 
-class ContactFilter:
-    """The probability that the feet stand on the pad: the forward filter of a hidden Markov model, two modes.
+class ContactTest:
+    """Whether the feet carry the vehicle: a cumulative sum (Page's test) for a sink that has become zero.
 
-    In the air the sink comes back to the one asked for, and scatters as it has done on the way down.
-    Standing, what the legs give dies out. The feet meet the pad with the hazard of the leg height's error: no
-    height alone shows contact, since camera and echo go by the same leg height; where they may meet it, a
-    sink that stops tells within two cycles. Where no sink tells (`sink_m_s` None) it stays as it is.
-
-    `share`, of the weight, is what the feet are given, within `contact_s`: it grows while they rather stand,
-    else it shrinks. What only a gust holds up sinks without its thrust, and is told from what stands; feet
-    that carry weight do not slide. All of it, for as long as a vehicle takes to respond, is contact.
+    `share` runs from 0 to 1, contact, within `contact_s` of standing still with the feet down by what they
+    are told to be, within `land_after_s` up to 10 cm over that (`within_hand`), since legs may be longer than
+    their file says. It runs back while the vehicle sinks. So much of the thrust is taken away meanwhile: what
+    only a gust holds up sinks at once and is told from what stands, and feet that carry weight do not slide.
     """
 
-    def __init__(self, config: TouchdownConfig, leg_std_m: float) -> None:
-        """In the air; `leg_std_m`: standard deviation of the leg height."""
-        self._contact_s, self._leg_std_m = max(config.contact_s, 1e-3), leg_std_m
-        self._variance_m2_s2 = 0.0  # of a cycle's sink about the expected one, in the air
-        self._sink_m_s: float | None = None
-        self._updated_s = -math.inf
-        self._carried_s = 0.0  # how long the feet have had all of the weight
-        self.probability = self.share = 0.0
+    def __init__(self, config: TouchdownConfig) -> None:
+        self._down_s, self._within_hand_s = max(config.contact_s, 1e-3), config.land_after_s
+        self.share = 0.0
+        self._updated_s: float | None = None
 
-    def update(self, feet: FeetMotion, now_s: float, *, landed: bool = False) -> None:
-        """Take in a cycle's motion of the feet; `landed`: the autopilot says that it stands."""
-        elapsed_s = min(LONGEST_CYCLE_S, now_s - self._updated_s)
-        self._updated_s = now_s
-        before_m_s, self._sink_m_s = self._sink_m_s, feet.sink_m_s
-        if before_m_s is not None and feet.sink_m_s is not None:
-            self._compare(feet, before_m_s, feet.sink_m_s, elapsed_s, landed=landed)
-        self.share += (2.0 * self.probability - 1.0) * elapsed_s / self._contact_s
-        self.share = max(0.0, min(1.0, self.share))
-        self._carried_s = self._carried_s + elapsed_s if self.share == 1.0 else 0.0
-
-    def _compare(
-        self, feet: FeetMotion, before_m_s: float, sink_m_s: float, elapsed_s: float, *, landed: bool
-    ) -> None:
-        """Bayes' rule over a cycle: both modes' expectations against the sink that is felt."""
-        expected_m_s = feet.asked_m_s + (before_m_s - feet.asked_m_s) * math.exp(-elapsed_s / _SINK_TAU_S)
-        surprise_m_s, noise = sink_m_s - expected_m_s, feet.sink_std_m_s**2
-        left_m_s = before_m_s * math.exp(-elapsed_s / _LEGS_TAU_S)
-        flies = _likelihood(surprise_m_s, max(self._variance_m2_s2, _GUST_M_S**2) + noise)
-        rests = _likelihood(sink_m_s - left_m_s, _REST_M_S**2 + noise)
-        hits = _density(sink_m_s, _HIT_M_S**2 + noise)
-        stood, flew = self.probability, 1.0 - self.probability
-        way_m = max(feet.asked_m_s, before_m_s, 0.0) * elapsed_s
-        # what is met makes nothing sink faster
-        meets = -math.expm1(-self._hazard_m(feet) * way_m) if sink_m_s <= max(0.0, before_m_s) else 0.0
-        leaves = elapsed_s / _STANDS_FOR_S
-        stands = stood * (1.0 - leaves) * rests + flew * meets * hits
-        in_air = (flew * (1.0 - meets) + stood * leaves) * flies
-        if landed:
-            stands *= _LANDED_RATIO
-        self.probability = min(_SUREST, stands / (stands + in_air + _TINY))
-        self._variance_m2_s2 += flew * elapsed_s / _LEARNS_S * (surprise_m_s**2 - self._variance_m2_s2)
-
-    def _hazard_m(self, feet: FeetMotion) -> float:
-        """Of meeting the pad in the next metre down, for feet that have not met it so far (1/m)."""
-        if feet.over_m is None or feet.over_m > WITHIN_HAND_M:
-            return 0.0
-        density = not_yet = 0.0
-        for weight, std_m in ((1.0 - _LEGS_WRONG, self._leg_std_m), (_LEGS_WRONG, _WRONG_LEGS_M)):
-            spread_m = math.hypot(std_m, feet.over_std_m) + _TINY
-            density += weight * _NORMAL.pdf(feet.over_m / spread_m) / spread_m
-            not_yet += weight * _NORMAL.cdf(feet.over_m / spread_m)
-        # so far below where the feet are told to be that neither is left: as the wider one goes on (Mills)
-        return density / not_yet if not_yet > _TINY else -feet.over_m / _WRONG_LEGS_M**2
+    def update(self, signs: ContactSigns, now_s: float, *, down: bool, within_hand: bool = False) -> None:
+        """Take in a cycle's signs; `down`, `within_hand`: whether the feet are there by signs that count."""
+        last_s, self._updated_s = self._updated_s, now_s
+        elapsed_s = 0.0 if last_s is None else min(LONGEST_CYCLE_S, now_s - last_s)
+        held_up = signs.held_up if down or within_hand else -1.0
+        if down and signs.landed:
+            held_up = 1.0
+        rises_s = self._down_s if down else self._within_hand_s
+        change = held_up * elapsed_s / (rises_s if held_up > 0.0 else self._down_s)
+        self.share = max(0.0, min(1.0, self.share + change))
 
     @property
     def touching(self) -> bool:
-        """Whether it rather stands than not."""
-        return self.probability >= 0.5
+        """Whether it may stand."""
+        return self.share > 0.0
 
     @property
     def contact(self) -> bool:
-        """Whether it stands and its feet carry it."""
-        return self.touching and self._carried_s >= RESPONDS_S
-
-    def in_words(self) -> str:
-        """How sure that is."""
-        return f"feet down with {100.0 * self.probability:.0f} %"
-
-
-def _likelihood(difference: float, variance: float) -> float:
-    """A normal distribution's density, outliers aside, but for a factor."""
-    wide = _OUTLIERS * _density(difference, _OUTLIER_M_S**2)
-    return (1.0 - _OUTLIERS) * _density(difference, variance) + wide
-
-
-def _density(difference: float, variance: float) -> float:
-    """A normal distribution's, but for a factor."""
-    return math.exp(-0.5 * difference * difference / variance) / math.sqrt(variance)
+        """Whether it stands."""
+        return self.share >= 1.0
 
 
 class ShortEchoes:
