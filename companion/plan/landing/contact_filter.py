@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Final
 
-from companion.base.messages import PadState, RangeSample, VehicleState
+from companion.base.messages import PadState, RangeSample
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.inputs import LONGEST_CYCLE_S
 from companion.plan.landing.contact import KNOWN_S, WITHIN_HAND_M, echo_height_m
@@ -50,10 +50,6 @@ class FeetMotion:
     sink_std_m_s: float
     asked_m_s: float
 
-    def low(self, margin_m: float) -> bool:
-        """Whether the foot is down by its height."""
-        return self.over_m is not None and self.over_m <= margin_m
-
 
 def feet_motion(
     sight: PadState | None,
@@ -65,13 +61,12 @@ def feet_motion(
     vehicle: VehicleConfig,
     obeys: bool,
     felt: bool,
-    state: VehicleState | None = None,
 ) -> FeetMotion:
     """The feet's motion over the pad by camera and IMU, or by the echo where that is surer.
 
     A sink is `felt` while the IMU is heard; else it is predicted, and tells nothing. Nor does one that stops
     tell anything of an autopilot that does not obey: it may hold its height by itself. The pad's own motion
-    is known for `blind_s`; after that the vehicle's is taken, `state`, if it is given.
+    is known for `blind_s`.
     """
     height_m, std_m = math.nan, math.inf
     if sight is not None and sight.age_s <= KNOWN_S:
@@ -82,9 +77,6 @@ def feet_motion(
     sink_m_s, sink_std_m_s = math.nan, math.inf
     if sight is not None and sight.age_s <= config.blind_s:
         sink_m_s, sink_std_m_s = sight.sink_m_s, sight.sink_std_m_s
-    elif state is not None:
-        # an axis of three
-        sink_m_s, sink_std_m_s = state.velocity_ned_m_s[2], state.velocity_std_m_s / math.sqrt(3.0)
     known = math.isfinite(height_m + std_m)
     tells = felt and obeys and math.isfinite(sink_m_s) and sink_std_m_s <= _HIT_M_S
     return FeetMotion(
