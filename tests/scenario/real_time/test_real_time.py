@@ -171,7 +171,7 @@ def test_the_service_stands_by_lands_when_it_is_ordered_to_and_stands_by_again(t
             wait_until(lambda: healthy(asked), "healthy")
             assert run("order", "land", "--socket", asked).code == 1  # it stands on the ground
             ordered = run("order", "fly", "--wait", "--socket", asked)
-            assert healthy(asked)
+            after = run("status", "--socket", asked)
             process.send_signal(signal.SIGTERM)
             words, errors = process.communicate(timeout=END_TIMEOUT_S)
         said, _ = simulator.communicate("finish landed\n", timeout=20.0)
@@ -179,6 +179,7 @@ def test_the_service_stands_by_lands_when_it_is_ordered_to_and_stands_by_again(t
         if report.latest_tick_s > LATE_S:
             pytest.skip(f"the simulator was {report.latest_tick_s:.1f} s late on this machine")
         assert (ordered.code, report.outcome) == (0, "landed"), (ordered, words)
+        assert after.code == 0, after
         assert (process.returncode, errors) == (0, "")
         assert {manager.recv(1000) for _ in range(3)} >= {b"READY=1", b"WATCHDOG=1"}
     assert (flights / "flight-0001" / "flight.mcap").stat().st_size > 0
