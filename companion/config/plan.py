@@ -146,16 +146,16 @@ class TouchdownConfig(StrictModel):
     """Lateral offset in the final descent beyond which the vehicle climbs and tries again. Larger is worse:
     a foot may miss the pad. Raise it for a large pad, lower it for a small one"""
     contact_margin_m: float = Field(default=0.02, gt=0.0, le=0.2)
-    """Height of the feet below which they may be on the pad; raise it if the height is uncertain"""
+    """A foot lower than this counts as down by its height: there a contact that is felt is confirmed sooner,
+    and an overdue one ends in LAND. Raise it if the height is uncertain"""
     contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
-    """A height that shows the feet down, with a stopped sink or the autopilot's landed state, for this long
-    counts as contact. Shorter is worse: a false contact reduces the thrust in the air. Raise it for a
-    springy landing gear"""
+    """Time in which the thrust is taken away once the feet probably stand. Without thrust it is contact: at
+    once if a height has the feet down, else after 0.2 s without a fall. Shorter is worse: a false contact
+    reduces the thrust in the air. Raise it for a springy landing gear"""
     land_after_s: float = Field(default=1.0, ge=0.5, le=30.0)
-    """After this time at rest on the pad without thrust the app disarms, by force if refused. A stopped sink
-    up to 10 cm too high also counts as contact after this time. Longer is worse: a link lost meanwhile
-    leaves the motors on. Much shorter is worse too: a bounce may look like rest. Raise it for a landing gear
-    that bounces"""
+    """After this time at rest on the pad without thrust the app disarms, by force if refused. Longer is
+    worse: a link lost meanwhile leaves the motors on. Much shorter is worse too: a bounce may look like rest.
+    Raise it for a landing gear that bounces"""
 
     @property
     def giving_up_s(self) -> float:

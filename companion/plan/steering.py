@@ -164,7 +164,7 @@ class PhaseSteering:
     @property
     def contact_probability(self) -> float:
         """That the feet stand on the pad, on the way down to it."""
-        return self.touchdown.contact_probability if self._machine.state is State.SINK else 0.0
+        return self.touchdown.contact_probability if self._machine.state in GOING_DOWN else 0.0
 
     def feet_near(self, echo: RangeSample | None, now_s: float) -> bool:
         """Whether the feet may stand on something, by sight or echo; legs may be longer than told."""

@@ -1,4 +1,4 @@
-"""Contact with the pad: the signs of it, and whether a vehicle that stands may be disarmed.
+"""Contact with the pad: what heights show, and whether a vehicle that stands may be disarmed.
 
 Contact is felt: the vehicle stops sinking although its reference goes on down, as PX4's and ArduPilot's land
 detectors have it. A height says only where that may be, and by the same number, `leg_height_m`, whether the
@@ -12,17 +12,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Quaternion, norm, tilt_from_quat
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
-from companion.base.motion import Motion
 from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
-from companion.plan.inputs import LONGEST_CYCLE_S, PlanInputs
+from companion.plan.inputs import PlanInputs
 
 FRESH_S = 0.3  # of IMU and echoes
 RESPONDS_S: Final = 0.2  # from a decision until the vehicle tilts: command, dead time, the gate of jerk
@@ -30,8 +28,6 @@ UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every fr
 # What is older is no sign, and no estimate to fly by. A pad's age counts from the exposure, and vision may
 # take 0.2 s of it: so old the pad is off its predicted place by 0.4 m at most, if it brakes with 3 m/s².
 KNOWN_S: Final = 0.5
-# Held up so far it has stopped, but for what the other feet still come down: a third of the sink asked for.
-_STALLED: Final = 1.0 / 3.0
 # Over the standing height that the file says, the feet may stand: legs may be longer than that.
 WITHIN_HAND_M: Final = 0.1
 # A pad this far below the feet is not under them: a bounce, a soft pad and an echo's error are less.
@@ -43,8 +39,6 @@ BUMP_S: Final = 0.15  # a bump of the pad is over sooner, or a spike of an echo;
 # Nothing stays up without thrust for so long: rest lasts so much longer without the IMU; and what nothing has
 # shown down for so long, and as long again since the contact, is not proven to have landed.
 _UNPROVEN_S = 2.0
-# Tilting more than this it is not about to stand, whatever is near.
-_MOST_FOOT_TILT_RAD = math.radians(15.0)
 _ATTITUDE_FRESH_S: Final = 1.0
 # No deck that is landed on tilts so far (24 deg is refused for a ship's), and legs that stand do not either.
 _UPRIGHT_RAD: Final = math.radians(30.0)
@@ -52,73 +46,6 @@ _UPRIGHT_RAD: Final = math.radians(30.0)
 # that its drag is 1.7 g.
 _LIES_RAD: Final = math.radians(60.0)
 _DRAGGED_M_S: Final = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class ContactSigns:
-    """The signs of contact with the pad: two measure the height, two feel the contact.
-
-    `held_up` compares the sink with the one asked for: 1 at rest, 0 at half of it, -1 sinking as asked, and
-    where nothing tells.
-    """
-
-    low: bool
-    held_up: float
-    short_echo: bool
-    landed: bool
-
-    @property
-    def stalled(self) -> bool:
-        """Whether it does not sink although it is asked to."""
-        return self.held_up >= _STALLED
-
-    @property
-    def height_says_down(self) -> bool:
-        """Whether a height says that the feet are down; both go by the same leg height."""
-        return self.low or self.short_echo
-
-    @property
-    def down(self) -> bool:
-        """Whether a height, or else both that are felt, says that the feet are down."""
-        return self.height_says_down or (self.stalled and self.landed)
-
-    def in_words(self) -> str:
-        """Their names."""
-        names = [name for name in ("low", "stalled", "short_echo", "landed") if getattr(self, name)]
-        return ", ".join(names).replace("_", " ")
-
-
-def contact_signs(
-    sight: PadState | None,
-    reference: Motion,
-    echo: RangeSample | None,
-    landed: LandedState,
-    now_s: float,
-    *,
-    config: TouchdownConfig,
-    vehicle: VehicleConfig,
-    tilt_rad: float = 0.0,
-    sink_m_s: float | None = None,
-    imu_fresh: bool = True,
-) -> ContactSigns:
-    """Read the signs; `reference` is vehicle minus pad, as `sight` is.
-
-    Where the pad is counts only while it is seen; that the vehicle stopped sinking it feels itself, and the
-    pad's own motion is known for `blind_s`; after that `sink_m_s`, if given, is the sink. Without the IMU
-    that is predicted and not felt. The lowest foot counts: one that holds a tilting vehicle up is
-    dragged over the pad by what that vehicle does to come back over the middle.
-    """
-    hangs_m = vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
-    feet_m = vehicle.leg_height_m + hangs_m + config.contact_margin_m
-    low = sight is not None and sight.age_s <= KNOWN_S and sight.height_m <= feet_m
-    if sight is not None and sight.age_s <= config.blind_s:
-        sink_m_s = sight.sink_m_s
-    # the reference goes on down and the vehicle does not; it may bounce
-    asked_m_s, held_up = reference.velocity_m_s[2], -1.0
-    if imu_fresh and sink_m_s is not None and asked_m_s >= 0.5 * config.contact_speed_m_s:
-        held_up = max(-1.0, min(1.0, 1.0 - 2.0 * sink_m_s / asked_m_s))
-    short_echo = _echo_within(echo, feet_m - vehicle.range_position_body_m[2], now_s)
-    return ContactSigns(low, held_up, short_echo, landed is LandedState.ON_GROUND)
 
 
 def echo_height_m(echo: RangeSample | None, vehicle: VehicleConfig, now_s: float) -> float | None:
@@ -136,42 +63,6 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
 def imu_fresh(vehicle: VehicleState | None, now_s: float) -> bool:
     """Whether our IMU is heard."""
     return vehicle is not None and now_s - vehicle.sensed_time_s <= FRESH_S
-
-
-class ContactTest:
-    """Whether the feet carry the vehicle: a cumulative sum (Page's test) for a sink that has become zero.
-
-    `share` runs from 0 to 1, contact, within `contact_s` of standing still with the feet down by what they
-    are told to be, within `land_after_s` up to 10 cm over that (`within_hand`), since legs may be longer than
-    their file says. It runs back while the vehicle sinks. So much of the thrust is taken away meanwhile: what
-    only a gust holds up sinks at once and is told from what stands, and feet that carry weight do not slide.
-    """
-
-    def __init__(self, config: TouchdownConfig) -> None:
-        self._down_s, self._within_hand_s = max(config.contact_s, 1e-3), config.land_after_s
-        self.share = 0.0
-        self._updated_s: float | None = None
-
-    def update(self, signs: ContactSigns, now_s: float, *, down: bool, within_hand: bool = False) -> None:
-        """Take in a cycle's signs; `down`, `within_hand`: whether the feet are there by signs that count."""
-        last_s, self._updated_s = self._updated_s, now_s
-        elapsed_s = 0.0 if last_s is None else min(LONGEST_CYCLE_S, now_s - last_s)
-        held_up = signs.held_up if down or within_hand else -1.0
-        if down and signs.landed:
-            held_up = 1.0
-        rises_s = self._down_s if down else self._within_hand_s
-        change = held_up * elapsed_s / (rises_s if held_up > 0.0 else self._down_s)
-        self.share = max(0.0, min(1.0, self.share + change))
-
-    @property
-    def touching(self) -> bool:
-        """Whether it may stand."""
-        return self.share > 0.0
-
-    @property
-    def contact(self) -> bool:
-        """Whether it stands."""
-        return self.share >= 1.0
 
 
 class ShortEchoes:

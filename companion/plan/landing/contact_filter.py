@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Final
 
-from companion.base.messages import PadState, RangeSample
+from companion.base.geometry import GRAVITY_M_S2
+from companion.base.messages import PadState, RangeSample, VehicleState
+from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.inputs import LONGEST_CYCLE_S
-from companion.plan.landing.contact import KNOWN_S, WITHIN_HAND_M, echo_height_m
+from companion.plan.landing.contact import FRESH_S, KNOWN_S, RESPONDS_S, WITHIN_HAND_M, echo_height_m
 
-# In the air the sink comes back to the one asked for within this (the vertical loop); what gusts make of it
-# in a cycle is learnt over `_LEARNS_S`, and taken for no less than `_GUST_M_S`.
+# In the air the sink comes back to the one asked for within this (the vertical loop); how gusts scatter it is
+# learnt over `_LEARNS_S`, and taken for no less than 0.05 m/s in a thirtieth of a second.
 _SINK_TAU_S: Final = 0.25
-_GUST_M_S: Final = 0.05
+_GUSTS_M2_S3: Final = 0.075
 _LEARNS_S: Final = 1.0
 # Standing: the sink after the blow, how fast what the legs give dies out, and what is left; how long it
 # stands where gusts and a deck lift it again.
@@ -30,7 +32,8 @@ _OUTLIER_M_S: Final = 0.3
 _LEGS_WRONG: Final = 0.05
 _WRONG_LEGS_M: Final = 0.05
 _ECHO_STD_M: Final = 0.02
-_LANDED_RATIO: Final = 2.0  # a cycle: false reports of standing are rare, but last
+# Tilting more than this it is not about to stand, whatever is near.
+_MOST_FOOT_TILT_RAD: Final = math.radians(15.0)
 _SUREST: Final = 1.0 - 1e-6
 _TINY: Final = 1e-12
 _NORMAL: Final = NormalDist()
@@ -38,17 +41,26 @@ _NORMAL: Final = NormalDist()
 
 @dataclass(frozen=True, slots=True)
 class FeetMotion:
-    """How high the feet are over what they are to stand on (m), and how fast it sinks (m/s).
+    """How high the lowest foot is over what they are to stand on (m), and how fast it sinks (m/s).
 
     By the leg height of vehicle file and measurements. None where nothing tells; standard deviations beside.
-    `asked_m_s` is the sink that is asked for.
+    `felt_s` is when the IMU last felt it, `asked_m_s` the sink that is asked for.
     """
 
     over_m: float | None
     over_std_m: float
     sink_m_s: float | None
     sink_std_m_s: float
+    felt_s: float
     asked_m_s: float
+
+    def low(self, margin_m: float) -> bool:
+        """Whether the foot is down by its height."""
+        return self.over_m is not None and self.over_m <= margin_m
+
+    def surely_over(self, height_m: float) -> bool:
+        """Whether the foot is farther up than that."""
+        return self.over_m is not None and self.over_m - SIGMA_THRESHOLD * self.over_std_m > height_m
 
 
 def feet_motion(
@@ -60,32 +72,44 @@ def feet_motion(
     config: TouchdownConfig,
     vehicle: VehicleConfig,
     obeys: bool,
-    felt: bool,
+    felt_s: float,
+    hangs_m: float = 0.0,
+    state: VehicleState | None = None,
 ) -> FeetMotion:
-    """The feet's motion over the pad by camera and IMU, or by the echo where that is surer.
+    """The feet's motion over the pad by camera and IMU, or by the echo where that is surer and agrees.
 
-    A sink is `felt` while the IMU is heard; else it is predicted, and tells nothing. Nor does one that stops
-    tell anything of an autopilot that does not obey: it may hold its height by itself. The pad's own motion
-    is known for `blind_s`.
+    An autopilot that does not obey may hold its height by itself: its sink tells only where the height has
+    the feet down. The pad's own motion is known for `blind_s`; after that the vehicle's is taken, `state`, if
+    it is given.
     """
     height_m, std_m = math.nan, math.inf
     if sight is not None and sight.age_s <= KNOWN_S:
         height_m, std_m = sight.height_m, sight.height_std_m
     echo_m = echo_height_m(echo, vehicle, now_s)
     if echo_m is not None and not std_m <= _ECHO_STD_M:
-        height_m, std_m = echo_m, _ECHO_STD_M
+        # an echo that the camera contradicts came from elsewhere, or is stuck
+        apart_m = abs(echo_m - height_m)
+        if not apart_m > SIGMA_THRESHOLD * math.hypot(std_m, _ECHO_STD_M):
+            height_m, std_m = echo_m, _ECHO_STD_M
     sink_m_s, sink_std_m_s = math.nan, math.inf
     if sight is not None and sight.age_s <= config.blind_s:
         sink_m_s, sink_std_m_s = sight.sink_m_s, sight.sink_std_m_s
+    elif state is not None:
+        # an axis of three
+        sink_m_s, sink_std_m_s = state.velocity_ned_m_s[2], state.velocity_std_m_s / math.sqrt(3.0)
     known = math.isfinite(height_m + std_m)
-    tells = felt and obeys and math.isfinite(sink_m_s) and sink_std_m_s <= _HIT_M_S
-    return FeetMotion(
-        height_m - vehicle.leg_height_m if known else None,
-        std_m,
-        sink_m_s if tells else None,
-        sink_std_m_s,
-        asked_m_s,
-    )
+    over_m = height_m - vehicle.leg_height_m - hangs_m if known else None
+    down = over_m is not None and over_m <= config.contact_margin_m
+    tells = (obeys or down) and math.isfinite(sink_m_s + sink_std_m_s)
+    return FeetMotion(over_m, std_m, sink_m_s if tells else None, sink_std_m_s, felt_s, asked_m_s)
+
+
+def lowest_foot_m(vehicle: VehicleConfig, tilt_rad: float) -> float:
+    """How much lower the lowest foot of a tilting vehicle is.
+
+    One that holds such a vehicle up is dragged over the pad by what that does to come back over the middle.
+    """
+    return vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
 
 
 class ContactFilter:
@@ -94,35 +118,80 @@ class ContactFilter:
     In the air the sink comes back to the one asked for, and scatters as it has done on the way down.
     Standing, what the legs give dies out. The feet meet the pad with the hazard of the leg height's error: no
     height alone shows contact, since camera and echo go by the same leg height; where they may meet it, a
-    sink that stops tells within two cycles. Where no sink tells (`sink_m_s` None) it stays as it is.
+    sink that stops tells within two cycles. What the IMU felt last counts for `FRESH_S`: a sink that is only
+    predicted is no evidence, and without evidence it flies. Nor does it stand where the feet are surely
+    higher than legs are wrong. It stands where the autopilot says so and a height has the feet down.
 
-    In shadow: it is logged beside the signs of contact that decide (decision 89).
+    `unloading`, of the weight, is what the feet are given, within `contact_s`: it grows while they rather
+    stand, else it shrinks. What only a gust holds up sinks without its thrust, and is told from what stands;
+    feet that carry weight do not slide. It is capped where the feet may be so high that they would fall too
+    fast. All of it is contact at once where a height has the feet down, else once the IMU has felt no fall
+    for as long as a vehicle takes to respond.
     """
 
-    def __init__(self, leg_std_m: float) -> None:
+    def __init__(self, config: TouchdownConfig, leg_std_m: float) -> None:
         """In the air; `leg_std_m`: standard deviation of the leg height."""
-        self._leg_std_m = leg_std_m
-        self._variance_m2_s2 = 0.0  # of a cycle's sink about the expected one, in the air
+        self._config, self._leg_std_m = config, leg_std_m
+        self._scatter_m2_s3 = 0.0  # of the sink about the expected one, in the air
         self._sink_m_s: float | None = None
-        self._updated_s = -math.inf
+        self._felt_s = self._updated_s = -math.inf
+        self._share = self._bears_s = 0.0  # of the weight; how long the feet have had all they may
+        self._most, self._low = 1.0, False
         self.probability = 0.0
 
     def update(self, feet: FeetMotion, now_s: float, *, landed: bool = False) -> None:
         """Take in a cycle's motion of the feet; `landed`: the autopilot says that it stands."""
-        elapsed_s = min(LONGEST_CYCLE_S, now_s - self._updated_s)
-        self._updated_s = now_s
-        before_m_s, self._sink_m_s = self._sink_m_s, feet.sink_m_s
-        if before_m_s is not None and feet.sink_m_s is not None:
-            self._compare(feet, before_m_s, feet.sink_m_s, elapsed_s, landed=landed)
+        elapsed_s, self._updated_s = min(LONGEST_CYCLE_S, now_s - self._updated_s), now_s
+        felt_for_s = 0.0
+        if feet.sink_m_s is not None and feet.felt_s > self._felt_s:
+            felt_for_s = min(LONGEST_CYCLE_S, feet.felt_s - self._felt_s)
+            before_m_s, self._sink_m_s, self._felt_s = self._sink_m_s, feet.sink_m_s, feet.felt_s
+            self._know_height(feet)
+            if before_m_s is not None:
+                self._compare(feet, before_m_s, feet.sink_m_s, felt_for_s)
+        elif now_s - self._felt_s > FRESH_S:
+            self._sink_m_s, self.probability = None, 0.0
+        if feet.surely_over(WITHIN_HAND_M):
+            self.probability = 0.0
+        elif landed and feet.low(self._config.contact_margin_m):
+            self.probability = _SUREST
+            self._know_height(feet)
+        gives = (2.0 * self.probability - 1.0) * elapsed_s / max(self._config.contact_s, 1e-3)
+        self._share = max(0.0, min(1.0, self._share + gives))
+        self._bears_s = self._bears_s + felt_for_s if self._share == 1.0 else 0.0
 
-    def _compare(
-        self, feet: FeetMotion, before_m_s: float, sink_m_s: float, elapsed_s: float, *, landed: bool
-    ) -> None:
-        """Bayes' rule over a cycle: both modes' expectations against the sink that is felt."""
+    def _know_height(self, feet: FeetMotion) -> None:
+        """Whether the feet are down by it, and the most that may be unloaded; no prediction changes that."""
+        self._low = feet.low(self._config.contact_margin_m)
+        if feet.over_m is not None:
+            falls_m = max(_TINY, feet.over_m - self._leg_std_m)
+            self._most = min(1.0, self._config.fastest_contact_m_s**2 / (2.0 * GRAVITY_M_S2 * falls_m))
+
+    @property
+    def unloading(self) -> float:
+        """The share of the thrust (0 to 1) that is taken away."""
+        return min(self._share, self._most)
+
+    @property
+    def touching(self) -> bool:
+        """Whether it rather stands than not."""
+        return self.probability >= 0.5
+
+    @property
+    def contact(self) -> bool:
+        """Whether it stands and its feet carry it."""
+        return self.touching and self._share == 1.0 and (self._low or self._bears_s >= RESPONDS_S)
+
+    def in_words(self) -> str:
+        """How sure that is."""
+        return f"feet down with {100.0 * self.probability:.0f} %"
+
+    def _compare(self, feet: FeetMotion, before_m_s: float, sink_m_s: float, elapsed_s: float) -> None:
+        """Bayes' rule over what was felt: both modes' expectations against the sink that is felt."""
         expected_m_s = feet.asked_m_s + (before_m_s - feet.asked_m_s) * math.exp(-elapsed_s / _SINK_TAU_S)
         surprise_m_s, noise = sink_m_s - expected_m_s, feet.sink_std_m_s**2
         left_m_s = before_m_s * math.exp(-elapsed_s / _LEGS_TAU_S)
-        flies = _likelihood(surprise_m_s, max(self._variance_m2_s2, _GUST_M_S**2) + noise)
+        flies = _likelihood(surprise_m_s, max(self._scatter_m2_s3, _GUSTS_M2_S3) * elapsed_s + noise)
         rests = _likelihood(sink_m_s - left_m_s, _REST_M_S**2 + noise)
         hits = _density(sink_m_s, _HIT_M_S**2 + noise)
         stood, flew = self.probability, 1.0 - self.probability
@@ -132,10 +201,9 @@ class ContactFilter:
         leaves = elapsed_s / _STANDS_FOR_S
         stands = stood * (1.0 - leaves) * rests + flew * meets * hits
         in_air = (flew * (1.0 - meets) + stood * leaves) * flies
-        if landed:
-            stands *= _LANDED_RATIO
         self.probability = min(_SUREST, stands / (stands + in_air + _TINY))
-        self._variance_m2_s2 += flew * elapsed_s / _LEARNS_S * (surprise_m_s**2 - self._variance_m2_s2)
+        scatter_m2_s3 = surprise_m_s**2 / elapsed_s
+        self._scatter_m2_s3 += flew * elapsed_s / _LEARNS_S * (scatter_m2_s3 - self._scatter_m2_s3)
 
     def _hazard_m(self, feet: FeetMotion) -> float:
         """Of meeting the pad in the next metre down, for feet that have not met it so far (1/m)."""

@@ -19,7 +19,7 @@ and, by the mission's table, the pad is inside the fence until the landing ends.
 
 `sink` checks in this order:
   1. about to slide off the pad, while the IMU is heard: MISALIGNED;
-  2. contact, by its test, or by echoes alone while the pad is unseen for `blind_s`: CONTACT;
+  2. contact, by its filter, or by echoes alone while the pad is unseen for `blind_s`: CONTACT;
   3. contact begins to show, or the IMU is silent: nothing else counts;
   4. the pad lost: PAD_LOST with room to rise, else PAD_GONE;
   5. no contact in time: PAD_GONE if a height says that the feet are down, else MISALIGNED;
@@ -31,7 +31,6 @@ from __future__ import annotations
 
 import math
 
-from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LandedState, LevelOff, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.config import LandingConfig, TouchdownConfig
@@ -44,15 +43,12 @@ from companion.plan.landing.contact import (
     FRESH_S,
     UNSEEN_S,
     WITHIN_HAND_M,
-    ContactSigns,
-    ContactTest,
     LandDetector,
     ShortEchoes,
-    contact_signs,
     echo_height_m,
     imu_fresh,
 )
-from companion.plan.landing.contact_filter import ContactFilter, feet_motion
+from companion.plan.landing.contact_filter import ContactFilter, feet_motion, lowest_foot_m
 from companion.plan.landing.levelling import Levelling, TiltPrediction, level_at
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
@@ -61,6 +57,7 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # Time constant with which the reference's height follows the vehicle's.
 _GIVE_WAY_S = 0.3
+_HELD_UP = 1.0 / 3.0  # of the sink asked for: it goes on down without a vehicle that sinks less
 # Levelling off it comes to the firmer sink within this.
 _FIRMER_S = 0.25
 _WRONG_S = 0.1  # it breaks off for what has been wrong for so long
@@ -102,7 +99,7 @@ class TouchdownSequence:
         self._gave_way_s = self._contact_due_s = now_s
         self._tolerance = Tolerance(config, now_s, tolerance_scale)
         self._held = Debounce()
-        self._contact_test, self._contact = ContactTest(config), ContactFilter(self._leg_std_m)
+        self._contact = ContactFilter(config, self._leg_std_m)
         self._short_echoes = ShortEchoes(config.contact_speed_m_s)
         self.tilt = TiltPrediction()
         self._levelling = Levelling(config, vehicle, self._leg_std_m)
@@ -122,16 +119,13 @@ class TouchdownSequence:
 
     @property
     def unloading(self) -> float:
-        """The share of the thrust (0 to 1) that is taken away on the way down, for the feet to carry.
+        """The share of the thrust (0 to 1) that is taken away on the way down, for the feet to carry."""
+        return self._contact.unloading
 
-        No more than what would make a fall, from where the feet may still be, too hard a contact.
-        """
-        share, sight = self._contact_test.share, self._sight
-        if share > 0.0 and sight is not None and sight.unseen_s <= UNSEEN_S:
-            falls_m = sight.height_m - self._vehicle.leg_height_m - self._leg_std_m
-            if falls_m > 0.0:
-                share = min(share, self._config.fastest_contact_m_s**2 / (2.0 * GRAVITY_M_S2 * falls_m))
-        return share
+    @property
+    def contact_probability(self) -> float:
+        """That the feet stand on the pad, or on what is below where the pad was given up."""
+        return self._contact.probability
 
     def level_off(self) -> LevelOff | None:
         """That the vehicle may tilt no further than it may at contact; None until the contact is near."""
@@ -206,7 +200,7 @@ class TouchdownSequence:
         """Begin to sink."""
         c = self._config
         self._gave_way_s, self._lowest_m = now_s, math.inf
-        self._contact_test, self._contact = ContactTest(c), ContactFilter(self._leg_std_m)
+        self._contact = ContactFilter(c, self._leg_std_m)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
@@ -221,56 +215,38 @@ class TouchdownSequence:
             return MissionEvent.MISALIGNED, slides
         # far aside it tilts because it flies back or escapes: it is not about to stand
         tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self.tilt.tilt_rad
-        signs = contact_signs(
+        hangs_m = lowest_foot_m(self._vehicle, tilt_rad)
+        asked_m_s, obeys = self._generator.at(now_s).velocity_m_s[2], not inputs.link.silent
+        feet = feet_motion(
             sight,
-            self._generator.at(now_s),
-            inputs.range,
-            inputs.autopilot.landed,
+            asked_m_s,
+            inputs.range if obeys else None,
             now_s,
             config=self._config,
             vehicle=self._vehicle,
-            tilt_rad=tilt_rad,
-            imu_fresh=not silent,
+            obeys=obeys,
+            felt_s=now_s - unfelt_s,
+            hangs_m=hangs_m,
         )
-        self._note_contact(sight, inputs, now_s, felt=not silent)
-        # While the link is silent the autopilot may hold its height by itself: then only the camera's `low`,
-        # no echo, makes a stopped sink a contact.
-        obeys = not inputs.link.silent
+        self._contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
+        echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
+        feet_m = self._vehicle.leg_height_m + hangs_m + self._config.contact_margin_m
+        short = echo_m is not None and echo_m <= feet_m
         within_hand = obeys and sight is not None and self._within_hand(sight, unfelt_s)
-        stands = signs.down and (obeys or signs.low)
-        self._contact_test.update(signs, now_s, down=stands, within_hand=within_hand)
-        touching = stands and self._contact_test.touching
-        self._short_echoes.note(inputs.range if within_hand and signs.short_echo else None)
-        down = sight is not None and sight.age_s > self._config.blind_s and self.feet_down(now_s)
-        if down or self._contact_test.contact:
-            return MissionEvent.CONTACT, signs.in_words()
-        if touching:
+        self._short_echoes.note(inputs.range if within_hand and short else None)
+        blind = sight is not None and sight.age_s > self._config.blind_s
+        if self._contact.contact:
+            return MissionEvent.CONTACT, self._contact.in_words()
+        if blind and self.feet_down(now_s):
+            return MissionEvent.CONTACT, "echoes that shorten no more"
+        if self._contact.touching:
             self._levelling.touching(now_s)
-        if touching or silent:
+        if self._contact.touching or silent:
             return None  # without the IMU all else is only predicted
         if (lost := self._lost(sight, inputs.range, now_s)) is not None:
             return lost
         assert sight is not None
-        return self._go_down(sight, signs, now_s)
-
-    def _note_contact(self, sight: PadState | None, inputs: PlanInputs, now_s: float, *, felt: bool) -> None:
-        """The probability of contact, in shadow: nothing goes by it yet."""
-        feet = feet_motion(
-            sight,
-            self._generator.at(now_s).velocity_m_s[2],
-            inputs.range,
-            now_s,
-            config=self._config,
-            vehicle=self._vehicle,
-            obeys=not inputs.link.silent,
-            felt=felt,
-        )
-        self._contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
-
-    @property
-    def contact_probability(self) -> float:
-        """That the feet stand on the pad."""
-        return self._contact.probability
+        return self._go_down(sight, asked_m_s, now_s, low=short or feet.low(self._config.contact_margin_m))
 
     def feet_down(self, now_s: float) -> bool:
         """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
@@ -301,18 +277,20 @@ class TouchdownSequence:
     def _within_hand(self, sight: PadState, unfelt_s: float = 0.0) -> bool:
         return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + WITHIN_HAND_M
 
-    def _go_down(self, sight: PadState, signs: ContactSigns, now_s: float) -> DetectedEvent | None:
+    def _go_down(self, sight: PadState, asked_m_s: float, now_s: float, *, low: bool) -> DetectedEvent | None:
         overdue_s = self._config.overdue_s
-        if now_s > self._contact_due_s + overdue_s and not self._contact_test.touching:
+        if now_s > self._contact_due_s + overdue_s:
             overdue = f"no contact {overdue_s:.1f} s after the expected time"
-            if signs.height_says_down:
+            if low:
                 return MissionEvent.PAD_GONE, overdue
             self._lift_off(sight, now_s)
             return MissionEvent.MISALIGNED, overdue
         # Below twice contact_margin_m the reference is left to run ahead, so that a vehicle that stands is
         # told by not following it.
         high = sight.height_m > self._low_m
-        self._give_way(sight if high and not signs.stalled else None, now_s)
+        begun = asked_m_s >= 0.5 * self._config.contact_speed_m_s
+        held_up = begun and sight.sink_m_s <= _HELD_UP * asked_m_s
+        self._give_way(sight if high and not held_up else None, now_s)
         tilts_on = not self._levelling.begun
         self._levelling.expect(sight, self.tilt, now_s)
         if high and sight.unseen_s <= UNSEEN_S and sight.height_m < self._lowest_m:
@@ -380,7 +358,7 @@ class TouchdownSequence:
 
     def begin_set_down(self, vehicle: VehicleState | None, now_s: float) -> None:
         """Begin to go straight down, level."""
-        self._contact_test = ContactTest(self._config)
+        self._contact = ContactFilter(self._config, self._leg_std_m)
         self._go_straight_down(vehicle, now_s)
         self._standing = LandDetector(self._config, self._vehicle, now_s, self._sight)
         self._levelling.reset()
@@ -415,21 +393,20 @@ class TouchdownSequence:
                 self._go_straight_down(vehicle, now_s)
         if landed is LandedState.ON_GROUND:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
-        # it means to go down, though its reference begins anew with the vehicle's own speed
-        meant = Motion(self._generator.at(now_s).position_m, (0.0, 0.0, self._config.contact_speed_m_s))
-        signs = contact_signs(
+        ours, heard = inputs.autopilot.offboard, not inputs.link.silent
+        feet = feet_motion(
             sight,
-            meant,
-            inputs.range,
-            landed,
+            self._generator.at(now_s).velocity_m_s[2] if ours else self._config.contact_speed_m_s,
+            inputs.range if heard else None,
             now_s,
             config=self._config,
             vehicle=self._vehicle,
-            sink_m_s=None if vehicle is None else vehicle.velocity_ned_m_s[2],
-            imu_fresh=fresh,
+            obeys=ours and heard,
+            felt_s=-math.inf if vehicle is None else vehicle.sensed_time_s,
+            state=vehicle,
         )
-        self._contact_test.update(signs, now_s, down=signs.down and not inputs.link.silent)
-        return (MissionEvent.CONTACT, signs.in_words()) if self._contact_test.contact else None
+        self._contact.update(feet, now_s)
+        return (MissionEvent.CONTACT, self._contact.in_words()) if self._contact.contact else None
 
     def stand(
         self, sight: PadState | None, inputs: PlanInputs, now_s: float, *, in_land: bool

@@ -12,6 +12,7 @@ from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,
     Attempt,
+    coming_down,
     fresh,
     sight,
     sinking,
@@ -218,8 +219,8 @@ def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
 )
 def test_tilting_back_from_far_aside_a_low_foot_is_no_contact(aside_m: float, found: MissionEvent) -> None:
     touchdown, events = sinking(), list[MissionEvent]()
-    for k in range(12):
-        touchdown.note_tilt(quat_from_euler(math.radians(12.0), 0.0, 0.0), 1.0 + k * CYCLE_S)
-        low = sight(aside_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.05))
-        events += touchdown.cycles([low], echo_m=LEG_M + 0.05 - VEHICLE.range_position_body_m[2])
+    for seen in coming_down(LEG_M + 0.04, aside_m=aside_m):
+        touchdown.note_tilt(quat_from_euler(math.radians(12.0), 0.0, 0.0), touchdown.now_s + CYCLE_S)
+        echo_m = seen.height_m - VEHICLE.range_position_body_m[2]
+        events += touchdown.cycles([seen], echo_m=echo_m) if not events else []
     assert events[0] is found

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from companion.base.geometry import Vector3
 from companion.base.messages import ActionKind, Phase
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import line, still
@@ -35,11 +36,21 @@ def test_a_pad_that_is_gone_by_the_echoes_is_left_upward_at_once(speed_m_s: floa
     assert any("pad no longer below" in text for text in w.flight.told("phase"))
 
 
+def fall_away(w: PlanWorld) -> None:
+    """Nothing is seen from now on, the pad drops from under the vehicle, and an echo says that it is near."""
+    w.blind, driven = lambda _t, _height: True, w.pad
+
+    def pad(t: float) -> Vector3:
+        north, east, down = driven(t)
+        return north, east, down + 5.0
+
+    w.pad, w.echo_m = pad, 0.24 - 0.08
+
+
 def test_unseen_for_too_long_with_no_room_to_rise_it_goes_straight_down_in_land() -> None:
     w = world(line(1.0))
     sinking_to(w, 0.30)
-    w.blind = lambda _t, _height: True
-    w.echo_m = 0.24 - 0.08  # no nearer than this, whatever it does: nothing says contact
+    fall_away(w)
     w.autopilot.refuse = {ActionKind.LAND: 1}
     w.fly(6.0, until=lambda w: bool(w.flight.told("set_down")))
     assert w.flight.told("set_down")
@@ -93,8 +104,7 @@ def fastest_m_s(w: PlanWorld, seconds: float) -> float:
 def test_a_set_down_that_was_not_obeyed_goes_on_from_where_the_vehicle_is() -> None:
     w = world(line(1.0))
     sinking_to(w, 0.30)
-    w.blind = lambda _t, _height: True
-    w.echo_m = 0.24 - 0.08
+    fall_away(w)
     w.fly(6.0, until=lambda w: bool(w.flight.told("set_down")))
     w.pad = lambda _t: (900.0, 0.0, 0.0)  # it is gone, and the ground is far below
     w.position = (*w.position[:2], w.position[2] - 3.0)
@@ -106,8 +116,7 @@ def test_a_set_down_that_was_not_obeyed_goes_on_from_where_the_vehicle_is() -> N
 def test_a_set_down_that_lags_far_behind_does_not_catch_up() -> None:
     w = world(line(1.0))
     sinking_to(w, 0.30)
-    w.blind = lambda _t, _height: True
-    w.echo_m = 0.24 - 0.08
+    fall_away(w)
     w.autopilot.silent = {ActionKind.LAND}
     w.fly(6.0, until=lambda w: bool(w.flight.told("set_down")))
     w.position = (*w.position[:2], w.position[2] - 3.0)  # a gust
@@ -131,8 +140,7 @@ def test_time_alone_cuts_no_thrust_where_nothing_shows_a_contact() -> None:
     # GIVEN a vehicle that goes straight down over a pad that drove off, its LAND refused ever again
     w = world(line(1.0))
     sinking_to(w, 0.30)
-    w.blind = lambda _t, _height: True
-    w.echo_m = 0.24 - 0.08
+    fall_away(w)
     w.autopilot.refuse = {ActionKind.LAND: 10_000}
     w.fly(6.0, until=lambda w: bool(w.flight.told("set_down")))
     w.pad, w.range_lost = lambda _t: (900.0, 0.0, 0.0), True

@@ -23,6 +23,7 @@ CONFIG = TouchdownConfig()
 WAIT_M = LEG_M + 0.35
 SMALL_PAD_M = 0.2  # half of its width: what an indoor pad has
 CYCLE_S = 1.0 / 30.0
+SEEN_CLEARLY = tuple(tuple(1e-6 if row == column else 0.0 for column in range(6)) for row in range(6))
 
 
 def sight(
@@ -36,7 +37,7 @@ def sight(
     relative = ((-aside, 0.0, height), scale(velocity, -1.0))
     return PadState(
         0.0, *relative, ZERO3, pad_acceleration, 0.0, 0.0, 0.0, 0.0,
-        seen_time_s=-age, seen_velocity_ned_m_s=relative[1],
+        seen_time_s=-age, seen_velocity_ned_m_s=relative[1], covariance=SEEN_CLEARLY,
     )  # fmt: skip
 
 
@@ -148,10 +149,18 @@ def sinking(**given: Any) -> Attempt:
     return touchdown
 
 
+def coming_down(height_m: float, *, aside_m: float = 0.0, stands_for_s: float = 1.5) -> list[PadState]:
+    """A cycle each: it sinks to a height at 0.2 m/s, and stops there."""
+    above_m = [0.2 * CYCLE_S * k for k in range(5, 0, -1)]
+    sinks = [sight(aside_m, height_m + over_m, (0.0, 0.0, 0.2)) for over_m in above_m]
+    return [*sinks, *[sight(aside_m, height_m)] * round(stands_for_s / CYCLE_S)]
+
+
 def standing() -> Attempt:
     touchdown = sinking()
-    while not touchdown.on_pad and touchdown.now_s < 2.0:
-        touchdown.cycles([sight(height=0.19)], echo_m=0.1)
+    for seen in coming_down(0.19):
+        if not touchdown.on_pad:
+            touchdown.cycles([seen], echo_m=0.1)
     assert touchdown.on_pad
     return touchdown
 
