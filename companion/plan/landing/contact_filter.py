@@ -15,15 +15,17 @@ from companion.plan.inputs import LONGEST_CYCLE_S
 from companion.plan.landing.contact import FRESH_S, KNOWN_S, RESPONDS_S, WITHIN_HAND_M, echo_height_m
 
 # In the air the sink comes back to the one asked for within this (the vertical loop); how gusts scatter it is
-# learnt over `_LEARNS_S`, and taken for no less than 0.05 m/s in a thirtieth of a second.
+# learnt over `_LEARNS_S`, and taken for no less than 0.05 m/s in a thirtieth of a second. On springing legs
+# it scatters by 0.04 m/s in as long. Both by time: shorter cycles are no more evidence.
 _SINK_TAU_S: Final = 0.25
 _GUSTS_M2_S3: Final = 0.075
+_RESTS_M2_S3: Final = 0.048
 _LEARNS_S: Final = 1.0
-# Standing: the sink after the blow, how fast what the legs give dies out, and what is left; how long it
-# stands where gusts and a deck lift it again.
+# Standing: the sink after the blow, no more than this share of the one asked for; how fast what the legs give
+# dies out; how long it stands where gusts and a deck lift it again.
 _HIT_M_S: Final = 0.1
+_STOPPED: Final = 0.5
 _LEGS_TAU_S: Final = 0.03
-_REST_M_S: Final = 0.04
 _STANDS_FOR_S: Final = 10.0
 # One sink in a hundred is anything: an estimate jumps.
 _OUTLIERS: Final = 0.01
@@ -89,7 +91,7 @@ def feet_motion(
     if echo_m is not None and not std_m <= _ECHO_STD_M:
         # an echo that the camera contradicts came from elsewhere, or is stuck
         apart_m = abs(echo_m - height_m)
-        if not apart_m > SIGMA_THRESHOLD * math.hypot(std_m, _ECHO_STD_M):
+        if math.isnan(height_m) or apart_m <= SIGMA_THRESHOLD * math.hypot(std_m, _ECHO_STD_M):
             height_m, std_m = echo_m, _ECHO_STD_M
     sink_m_s, sink_std_m_s = math.nan, math.inf
     if sight is not None and sight.age_s <= config.blind_s:
@@ -192,12 +194,13 @@ class ContactFilter:
         surprise_m_s, noise = sink_m_s - expected_m_s, feet.sink_std_m_s**2
         left_m_s = before_m_s * math.exp(-elapsed_s / _LEGS_TAU_S)
         flies = _likelihood(surprise_m_s, max(self._scatter_m2_s3, _GUSTS_M2_S3) * elapsed_s + noise)
-        rests = _likelihood(sink_m_s - left_m_s, _REST_M_S**2 + noise)
+        rests = _likelihood(sink_m_s - left_m_s, _RESTS_M2_S3 * elapsed_s + noise)
         hits = _density(sink_m_s, _HIT_M_S**2 + noise)
         stood, flew = self.probability, 1.0 - self.probability
         way_m = max(feet.asked_m_s, before_m_s, 0.0) * elapsed_s
-        # what is met makes nothing sink faster
-        meets = -math.expm1(-self._hazard_m(feet) * way_m) if sink_m_s <= max(0.0, before_m_s) else 0.0
+        # a height alone shows no contact, however little is known of the sink: it has to stop
+        stops = sink_m_s <= max(0.0, min(before_m_s, _STOPPED * feet.asked_m_s))
+        meets = -math.expm1(-self._hazard_m(feet) * way_m) if stops else 0.0
         leaves = elapsed_s / _STANDS_FOR_S
         stands = stood * (1.0 - leaves) * rests + flew * meets * hits
         in_air = (flew * (1.0 - meets) + stood * leaves) * flies

@@ -246,7 +246,7 @@ class TouchdownSequence:
         if (lost := self._lost(sight, inputs.range, now_s)) is not None:
             return lost
         assert sight is not None
-        return self._go_down(sight, asked_m_s, now_s, low=short or feet.low(self._config.contact_margin_m))
+        return self._go_down(sight, asked_m_s, now_s, low=feet.low(self._config.contact_margin_m))
 
     def feet_down(self, now_s: float) -> bool:
         """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
@@ -393,15 +393,16 @@ class TouchdownSequence:
                 self._go_straight_down(vehicle, now_s)
         if landed is LandedState.ON_GROUND:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
-        ours, heard = inputs.autopilot.offboard, not inputs.link.silent
+        heard = not inputs.link.silent
+        # it means to go down, though its reference begins anew with the vehicle's own speed
         feet = feet_motion(
             sight,
-            self._generator.at(now_s).velocity_m_s[2] if ours else self._config.contact_speed_m_s,
+            self._config.contact_speed_m_s,
             inputs.range if heard else None,
             now_s,
             config=self._config,
             vehicle=self._vehicle,
-            obeys=ours and heard,
+            obeys=inputs.autopilot.offboard and heard,
             felt_s=-math.inf if vehicle is None else vehicle.sensed_time_s,
             state=vehicle,
         )

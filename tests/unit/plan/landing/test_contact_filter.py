@@ -186,3 +186,26 @@ def test_a_descent_that_slows_is_no_contact_at_any_rate(rate_hz: float) -> None:
         now_s, over_m = now_s + 1.0 / rate_hz, over_m - sink_m_s / rate_hz
         contact.update(FeetMotion(over_m, 0.002, sink_m_s, 0.01, now_s, 0.2), now_s)
         assert not contact.touching
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 30.0, 60.0, 100.0])
+@pytest.mark.parametrize("stopped_m", [0.0, 0.03])
+def test_feet_that_stand_are_found_at_any_rate(rate_hz: float, stopped_m: float) -> None:
+    contact, now_s, over_m = ContactFilter(CONFIG, 0.022), 0.0, 0.2
+    while over_m > stopped_m:
+        now_s, over_m = now_s + 1.0 / rate_hz, over_m - 0.2 / rate_hz
+        contact.update(FeetMotion(over_m, 0.002, 0.2, 0.01, now_s, 0.2), now_s)
+    stopped_s = now_s
+    while not contact.contact and now_s < stopped_s + 2.0:
+        now_s += 1.0 / rate_hz
+        contact.update(FeetMotion(stopped_m, 0.002, 0.0, 0.01, now_s, 0.2), now_s)
+    assert now_s - stopped_s < CONFIG.contact_s + RESPONDS_S + 0.25
+
+
+@pytest.mark.parametrize("std_m_s", [0.1, 0.5, 1.0])
+def test_a_height_alone_is_no_contact_however_little_is_known_of_the_sink(std_m_s: float) -> None:
+    contact = ContactFilter(CONFIG, 0.022)
+    for k in range(45):
+        over_m = 0.2 - 0.2 * k * CYCLE_S
+        contact.update(FeetMotion(over_m, 0.002, 0.2, std_m_s, k * CYCLE_S, 0.2), k * CYCLE_S)
+        assert contact.unloading == 0.0
