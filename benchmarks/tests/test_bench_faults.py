@@ -346,7 +346,7 @@ def test_how_a_safe_flight_ended(record: WitnessedFlight, expected: str) -> None
 def test_one_that_nothing_disarms_stands_and_has_to_say_so() -> None:
     record = ended("OFFBOARD", armed=True)
     record.at_rest_on_pad, record.app_ended_s = True, None
-    record.texts[-1] = AppText(35.0, 6, "on the pad: low, short echo")
+    record.texts[-1] = AppText(35.0, 6, "on the pad: feet down with 98 %")
     assert judge(record, BOUNDS).unsafe == ("no end within the time limit",)
     record.texts.append(AppText(36.0, 3, "on the pad and armed: disarm refused"))
     assert judge(record, BOUNDS) == SafetyVerdict("stands")

@@ -10,6 +10,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import Outcome, Phase
 from sitl.mavlink.sensor_telemetry import SensorMessages
 from tests.scenario.flights.test_faults import failing
+from tests.scenario.flights.test_wirings import CountingLog
 from tests.scenario.flying import (
     FEW_PICTURES,
     FlownCommand,
@@ -73,9 +74,11 @@ def test_a_replay_gives_the_flights_estimates_again_to_the_bit(
 
 def test_our_ultrasonic_may_stay_beside_the_autopilots_other_sensors(tmp_path: Path) -> None:
     sense = {**SENSE, "autopilot": {"range_source": "boards"}}
-    flown = fly(scenario_file(tmp_path, "static", by_telemetry("ardupilot", sense)), 0, tmp_path)
-    assert flown.landing["touchdown"]["lateral_error_m"] <= LATERAL_M, flown
-    assert any("short echo" in event["text"] for event in flown.landing["events"]), flown
+    log = CountingLog()
+    flight, _ = fly_logged(scenario_file(tmp_path, "static", by_telemetry("ardupilot", sense)), log)
+    assert flight.report.outcome is Outcome.LANDED, flight.report.failures
+    assert log.counts["range"] > 3.5 * flight.report.duration_s
+    assert "ultrasonic" not in notices(log)
 
 
 def test_an_imu_stream_that_stops_in_the_descent_hands_the_vehicle_back(
