@@ -232,7 +232,7 @@ def frame_length(buffer: bytes | bytearray, start: int) -> int:
     return _V2_HEADER_BYTES + buffer[start + 1] + _CRC_BYTES + signature
 
 
-def message_id_of(buffer: bytearray, start: int = 0) -> int:
+def message_id_of(buffer: bytes | bytearray, start: int = 0) -> int:
     """The message id of the whole frame that starts here."""
     is_v2 = buffer[start] == V2_MARKER
     return int.from_bytes(buffer[start + 7 : start + 10], "little") if is_v2 else buffer[start + 5]
@@ -317,6 +317,17 @@ def is_twins_heartbeat(message: Message, us: tuple[int, int], process: int) -> b
 def has_command(data: bytes) -> bool:
     """Whether whole frames in `data` hold a command or change a mode."""
     return bool(Codec(0, wanted=_COMMANDS).decode(data))
+
+
+def holds_only(data: bytes, message_ids: frozenset[int]) -> bool:
+    """Whether `data` are whole frames, and all of these messages; their check sums are not looked at."""
+    start, end = 0, len(data)
+    while end - start >= _V2_HEADER_BYTES and MARKER.match(data, start):
+        size = frame_length(data, start)
+        if start + size > end or message_id_of(data, start) not in message_ids:
+            return False
+        start += size
+    return start == end
 
 
 # ---------------------------------------------------------------- messages we build

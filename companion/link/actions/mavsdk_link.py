@@ -1,7 +1,7 @@
 """Actions by MAVSDK (4.1: a C++ library in this process, no server), over the port that we own.
 
-MAVSDK has no socket: through its `raw://` connection it gets every byte that we receive, and what it wants
-sent goes out through our transport. It speaks as a component of its own beside ours
+MAVSDK has no socket: through its `raw://` connection it gets what we receive, but streams that no action goes
+by, and what it wants sent goes out through our transport. It speaks as a component of its own beside ours
 (`link.mavsdk_component_id`), with its own sequence numbers, so that neither the autopilot's answers nor its
 loss count mix the two up. Its calls and their repeats cannot be stopped once begun: after `cancel` none of
 its commands leaves our transport until those calls have ended; what may not wait goes out as our own.
@@ -29,8 +29,9 @@ from companion.base.messages import Action
 from companion.config import ConfigError, LinkConfig
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.actions.dialogue import Refused
-from companion.link.codec import has_command
+from companion.link.codec import has_command, holds_only, mavlink
 from companion.link.session import Session
+from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES
 
 T = TypeVar("T")
 
@@ -40,6 +41,12 @@ _LOG_LEVELS: Final = {
     LogLevel.INFO: logging.DEBUG,  # what is news to MAVSDK is detail to us
     LogLevel.WARN: logging.WARNING,
     LogLevel.ERROR: logging.WARNING,
+}
+# how the vehicle moves and what its sensors measure: MAVSDK's action plugin reads none of them
+_STREAMS: Final = SENSOR_MESSAGES | {
+    mavlink.MAVLINK_MSG_ID_ATTITUDE,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
 }
 _log = logging.getLogger(__name__)
 
@@ -86,8 +93,8 @@ class MavsdkActions(PymavlinkActions):
         await self._mavsdk.add_any_connection("raw://")
 
     def receive(self, data: bytes) -> None:
-        """Hand on what the transport received."""
-        if self._mavsdk is not None:
+        """Hand on what the transport received, unless no action goes by it: most of what a vehicle says."""
+        if self._mavsdk is not None and not holds_only(data, _STREAMS):
             self._mavsdk._mavsdk.pass_received_raw_bytes(data)
 
     def cancel(self) -> None:

@@ -230,3 +230,14 @@ def test_a_beacon_without_velocity_stands_still_and_without_accuracy_is_poor() -
 )
 def test_a_beacon_that_says_nothing_useful_is_none(message: codec.Message) -> None:
     assert pad_beacon(message, 1.0, 8.0) is None
+
+
+def test_bytes_hold_only_what_is_named_when_they_are_whole_frames_of_it() -> None:
+    streams, sender = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE}), Codec(1, 1)
+    one, two = attitudes(sender, 2)
+    assert codec.holds_only(one, streams)
+    assert codec.holds_only(one + two, streams)
+    assert not codec.holds_only(one + sender.encode(codec.heartbeat()), streams)
+    assert not codec.holds_only(one + two[:-1], streams)
+    assert not codec.holds_only(two[3:], streams)
+    assert not codec.holds_only(b"\0" + one, streams)
