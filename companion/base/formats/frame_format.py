@@ -98,7 +98,7 @@ def unpack_header(data: bytes) -> FrameHeader:
     return header
 
 
-def unpack_image(header: FrameHeader, data: bytes) -> NDArray[np.uint8]:
+def unpack_image(header: FrameHeader, data: bytes | memoryview) -> NDArray[np.uint8]:
     """The image (height, width) or (height, width, 3), read-only, of the bytes after a header.
 
     Raises:

@@ -18,15 +18,20 @@ from companion.base.formats.frame_format import HEADER_SIZE, FrameHeader, unpack
 
 ADDRESS_FORM: Final = re.compile(r"socket:(?P<path>.+)|tcp:(?P<host>[^:\s]+):(?P<port>\d{1,5})")
 CONNECT_TIMEOUT_S: Final = 5.0
-_BUFFER_BYTES: Final = 2**20
 
 
-class FrameStream:
-    """An open connection. Made by `open`."""
+class FrameStream(asyncio.BufferedProtocol):
+    """An open connection, made by `open`: what comes is written straight into the header or image awaited.
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
+    A read that is cancelled leaves it in the middle of a frame: close it then.
+    """
+
+    def __init__(self, address: str) -> None:
         self.address = address
-        self._reader, self._writer = reader, writer
+        self._transport: asyncio.Transport | None = None
+        self._into = memoryview(b"")  # what is still missing
+        self._whole: asyncio.Future[None] | None = None
+        self._closed: Exception | None = None
 
     @classmethod
     async def open(cls, address: str) -> FrameStream:
@@ -39,17 +44,18 @@ class FrameStream:
         form = ADDRESS_FORM.fullmatch(address)
         if form is None or not 0 < int(form["port"] or 1) <= 65535:
             raise ValueError(f"'{address}'; expected socket:PATH or tcp:HOST:PORT")
+        loop, stream = asyncio.get_running_loop(), cls(address)
         if form["path"] is not None:
-            opening = asyncio.open_unix_connection(form["path"], limit=_BUFFER_BYTES)
+            opening = loop.create_unix_connection(lambda: stream, form["path"])
         else:
-            opening = asyncio.open_connection(form["host"], int(form["port"]), limit=_BUFFER_BYTES)
+            opening = loop.create_connection(lambda: stream, form["host"], int(form["port"]))
         try:
-            reader, writer = await asyncio.wait_for(opening, CONNECT_TIMEOUT_S)
+            await asyncio.wait_for(opening, CONNECT_TIMEOUT_S)
         except OSError as error:  # TimeoutError is one
             known = error.errno is not None and error.errno > 0
             reason = os.strerror(error.errno or 0) if known else f"{error}" or "no answer"
             raise OSError(f"{address}: {reason}; expected a program that serves frames") from error
-        return cls(reader, writer, address)
+        return stream
 
     async def read_header(self) -> FrameHeader:
         """The next frame's header; to be followed by `read_image`.
@@ -58,7 +64,7 @@ class FrameStream:
             OSError: the connection was closed, or what came is not a frame.
         """
         try:
-            return unpack_header(await self._read(HEADER_SIZE, "a frame's header"))
+            return unpack_header(bytes(await self._read(HEADER_SIZE, "a frame's header")))
         except ValueError as error:
             raise OSError(f"{self.address} does not send frames: {error}") from error
 
@@ -71,14 +77,44 @@ class FrameStream:
         return unpack_image(header, await self._read(header.size, "an image"))
 
     def close(self) -> None:
-        self._writer.close()
+        if self._transport is not None:
+            self._transport.close()
 
-    async def _read(self, size: int, what: str) -> bytes:
-        try:
-            return await self._reader.readexactly(size)
-        except asyncio.IncompleteReadError as error:
-            found = len(error.partial)
+    async def _read(self, size: int, what: str) -> memoryview:
+        """The next so many bytes, read-only; nothing is taken from the socket that nobody waits for."""
+        buffer = np.empty(size, np.uint8).data
+        self._into, self._whole = buffer, asyncio.get_running_loop().create_future()
+        if self._closed is None and self._transport is not None:
+            self._transport.resume_reading()
+            await self._whole
+        if self._into:
+            if isinstance(self._closed, OSError):
+                raise OSError(f"{self.address}: {self._closed.strerror or self._closed}") from self._closed
+            found = size - len(self._into)
             rest = f" after {found} of {size} bytes of {what}" if found else ""
-            raise OSError(f"{self.address} was closed by its server{rest}") from error
-        except OSError as error:
-            raise OSError(f"{self.address}: {error.strerror or error}") from error
+            raise OSError(f"{self.address} was closed by its server{rest}")
+        return buffer.toreadonly()
+
+    # ------------------------------------------------------------ asyncio
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        transport.pause_reading()
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        return self._into
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self._into = self._into[nbytes:]
+        if not self._into and self._transport is not None:
+            self._transport.pause_reading()
+            self._wake()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._closed = exc or EOFError()
+        self._wake()
+
+    def _wake(self) -> None:
+        if self._whole is not None and not self._whole.done():
+            self._whole.set_result(None)
