@@ -136,16 +136,13 @@ class KeptCamera:
         patience = replace(self._patience, content_s=self._content_patience_s)
         health = CameraHealth(patience, self._clock.now_s())
         offset: int | None = None
-        arriving = asyncio.ensure_future(source.next())
         try:
             while (cause := health.lost(self._clock.now_s())) is None:
                 looked_s = self._clock.now_s()
-                await asyncio.wait({arriving}, timeout=WATCH_S)
+                frame = await _next_within(source, WATCH_S)
                 if (late_s := self._clock.now_s() - looked_s - WATCH_S) > WATCH_S:
                     health.excuse(late_s)
-                if arriving.done():
-                    frame = arriving.result()
-                    arriving = asyncio.ensure_future(source.next())
+                if frame is not None:
                     if offset is None:  # numbers go on from life to life
                         offset = self._last_sequence + 1 - frame.sequence
                     self._take(replace(frame, sequence=frame.sequence + offset), health)
@@ -164,9 +161,6 @@ class KeptCamera:
                 return False
             self._set_trouble(str(error))
             return True
-        finally:
-            arriving.cancel()
-            arriving.add_done_callback(_pass_over)
         if cause == "content":
             self._content_patience_s = min(2.0 * self._content_patience_s, LONGEST_PATIENCE_S)
         return True
@@ -233,7 +227,12 @@ class KeptCamera:
             self._reports.put_nowait(CameraReport(f"camera: {text}", "error"))
 
 
-def _pass_over(task: asyncio.Future[Frame]) -> None:
-    """Nobody waits for that frame any more, nor for why there was none."""
-    if not task.cancelled():
-        task.exception()
+async def _next_within(source: LiveSource, wait_s: float) -> Frame | None:
+    """The next frame, None after so long without one; the camera's own time-out is an error as any other."""
+    try:
+        async with asyncio.timeout(wait_s) as waiting:
+            return await source.next()
+    except TimeoutError:
+        if not waiting.expired():
+            raise
+        return None

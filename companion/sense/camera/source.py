@@ -50,7 +50,7 @@ class FrameSource(Protocol):
     """A camera."""
 
     async def next(self) -> Frame:
-        """Wait for a frame newer than the last one returned.
+        """Wait for a frame newer than the last one returned; cancelled, it takes none.
 
         Raises:
             OSError: the camera is gone.

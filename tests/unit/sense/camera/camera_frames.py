@@ -1,6 +1,5 @@
 """Frames as a sensor with noise gives them, and a camera that does what a test says."""
 
-import asyncio
 from collections.abc import Callable
 
 import numpy as np
@@ -10,7 +9,7 @@ from companion.base.clock import Clock
 from companion.base.messages import Frame
 from companion.sense.camera.reader import ReadBack
 
-AGE_S = 0.02
+AGE_S, FRAME_S = 0.02, 1 / 30
 _RNG = np.random.default_rng(11)
 _NOISE = [_RNG.integers(80, 120, (480, 640)).astype(np.uint8) for _ in range(3)]
 
@@ -31,6 +30,7 @@ class ScriptedCamera:
     def __init__(self, act: Callable[[Frame], Frame | None], *, held_for_s: float = 0.0) -> None:
         """`held_for_s`: how long its driver keeps the device once it is to let go."""
         self._act, self._clock, self._number = act, Clock(), -1
+        self._due_s = self._clock.now_s() + FRAME_S
         self._held_for_s, self._parted_s = held_for_s, float("inf")
         self.notes: list[str] = []
         self.closed = False
@@ -44,7 +44,8 @@ class ScriptedCamera:
     async def next(self) -> Frame:
         """See `LiveSource`."""
         while True:
-            await asyncio.sleep(1 / 30)
+            await self._clock.sleep_until(self._due_s)
+            self._due_s = self._clock.now_s() + FRAME_S
             self._number += 1
             frame = self._act(noisy_frame(self._number, self._clock.now_s() - AGE_S))
             if frame is not None:
