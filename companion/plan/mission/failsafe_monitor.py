@@ -31,7 +31,7 @@ from companion.plan.mission.readiness import (
     rival_words,
     velocity_words,
 )
-from companion.plan.mission.states import State
+from companion.plan.mission.states import Authority, State
 from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, StateMachine, by_severity
 
 _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
@@ -143,18 +143,17 @@ class FailsafeMonitor:
         `control_granted`, `taking_off`: the request was accepted. `asked`: what was asked for last.
         """
         phase_s, mission_s = self._times_s(now_s)
-        state, autopilot = self._machine.state, inputs.autopilot
+        state, authority, autopilot = self._machine.state, self._machine.authority, inputs.autopilot
         if state in FINAL:
             return ()
         self._modes.listen(autopilot, inputs.link, now_s)
         taken_over = autopilot.connected and self._modes.taken_over(
             state,
-            self._machine.authority,
+            authority,
             autopilot,
-            requested=control_granted if self._machine.ordered_in_air else taking_off,
+            requested=control_granted if authority is Authority.PILOT else taking_off,
             over_home_m=over_home_m,
             now_s=now_s,
-            ordered_in_air=self._machine.ordered_in_air,
             asked=asked,
         )
         found = [*_signs(inputs, control_granted=control_granted, taken_over=taken_over)]

@@ -100,14 +100,12 @@ class ModeMonitor:
         requested: bool,
         over_home_m: float | None,
         now_s: float,
-        ordered_in_air: bool = False,
         asked: frozenset[ActionKind] = frozenset(),
     ) -> bool:
         """Whether the mode is one that we did not request.
 
         `asked`: what was asked for last, which counts once control was released. `requested`: the take-off,
-        or in the air control, was granted. `over_home_m`: the height. `ordered_in_air`: a pilot flew the
-        vehicle when the landing was ordered.
+        or from a pilot control, was granted. `over_home_m`: the height.
         """
         kind = autopilot.autopilot_kind
         if kind is None or not autopilot.mode:
@@ -118,7 +116,7 @@ class ModeMonitor:
         if state in _BEFORE_ANY_REQUEST:
             return False
         self._climbed = self._climbed or over_home_m is None or over_home_m >= self._done_m
-        theirs = ordered_in_air and authority is Authority.NONE
+        theirs = authority is Authority.PILOT
         ours = self._ours(state, authority, autopilot, kind, asked)
         if mode in (frozenset({_control(kind)}) if theirs else ours):
             self._found = self._found if mode == self._found else ""

@@ -57,6 +57,7 @@ class Authority(StrEnum):
     """Who commands the vehicle."""
 
     NONE = "none"  # the autopilot flies by itself; control was not granted yet
+    PILOT = "pilot"  # its pilot flew it when the landing was ordered; control was not granted yet
     OURS = "ours"  # our setpoints are obeyed
     RELEASED = "released"  # returned to the autopilot or taken by a pilot, for good
 
@@ -101,7 +102,6 @@ class Circumstances:
 
     authority: Authority = Authority.NONE
     tries_left: bool = True
-    ordered_in_air: bool = False
     on_surface: bool = False
     disarm_asked: bool = False
     land_granted: bool = False
@@ -118,7 +118,7 @@ class Circumstances:
         """Whether a guard holds."""
         return {
             Guard.ALWAYS: True,
-            Guard.NOT_TAKEN: self.ordered_in_air and self.authority is Authority.NONE,
+            Guard.NOT_TAKEN: self.authority is Authority.PILOT,
             Guard.CONTROL_NONE: self.authority is Authority.NONE,
             Guard.CONTROL_OURS: self.authority is Authority.OURS,
             Guard.STILL_FLIES: self.airborne and self.authority is Authority.NONE,

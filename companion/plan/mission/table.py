@@ -128,7 +128,7 @@ _CLEARS = "it climbs clear of the pad and comes to rest, which returns control; 
 
 ROWS: Final = (
     # ---- ordered
-    *_rows(E.LAND_ORDERED, S.STANDBY, Branch(S.SEARCH)),
+    *_rows(E.LAND_ORDERED, S.STANDBY, Branch(S.SEARCH, authority=Authority.PILOT)),
     *_rows(E.FLY_ORDERED, S.STANDBY, Branch(S.CONNECT)),
     # ---- to the waypoint; a refused arming is no event, it is asked for again until the time is up
     *_rows(E.READY, S.CONNECT, Branch(S.ARM, (_ARM,))),
@@ -363,11 +363,11 @@ def by_severity(events: Iterable[DetectedEvent]) -> tuple[DetectedEvent, ...]:
 
 
 def follows(state: State, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
-    """What follows an event; None: it means nothing in this state. Released, nothing is asked any more."""
+    """What follows an event; None: it means nothing in this state. Released it stays, and asks for nothing."""
     branches = TABLE[state, event]
     branch = next((b for b in branches if circumstances.allow(b.guard)), None)
     if branch is not None and circumstances.authority is Authority.RELEASED:
-        return replace(branch, actions=())
+        return replace(branch, actions=(), authority=None)
     return branch
 
 
@@ -379,7 +379,6 @@ class StateMachine:
         self._retries_left = retries
         self.state = State.CONNECT if may_fly else State.STANDBY
         self.authority = Authority.NONE
-        self.ordered_in_air = False  # somebody else flies it until control is ours
 
     @property
     def phase(self) -> Phase:
@@ -389,7 +388,7 @@ class StateMachine:
     @property
     def in_control(self) -> bool:
         """Whether control was granted, though it may have been returned or taken since."""
-        return self.authority is not Authority.NONE
+        return self.authority not in {Authority.NONE, Authority.PILOT}
 
     @property
     def last_try(self) -> bool:
@@ -398,18 +397,11 @@ class StateMachine:
 
     def follows(self, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
         """What follows an event now; None: it means nothing. Authority and tries are the machine's own."""
-        ours = replace(
-            circumstances,
-            authority=self.authority,
-            tries_left=not self.last_try,
-            ordered_in_air=self.ordered_in_air,
-        )
+        ours = replace(circumstances, authority=self.authority, tries_left=not self.last_try)
         return follows(self.state, event, ours)
 
     def take(self, branch: Branch) -> None:
         """Go where a branch leads."""
-        if self.state is State.STANDBY and branch.to is State.SEARCH:
-            self.ordered_in_air = True
         self.state = branch.to or self.state
         self.authority = branch.authority or self.authority
         if Effect.COUNT_TRY in branch.effects:

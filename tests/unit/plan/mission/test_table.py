@@ -296,7 +296,7 @@ def test_the_motors_of_a_vehicle_on_its_side_are_stopped_unless_a_pilot_flew_it(
         branch = taken(state, E.TIPPED_OVER, Circumstances(Authority.OURS))
         assert branch.to is None  # it is asked again as long as it lies there
         assert [(a.kind, a.force) for a in branch.actions] == [(ActionKind.DISARM, True)]
-        flown = taken(state, E.TIPPED_OVER, Circumstances(Authority.NONE, ordered_in_air=True))
+        flown = taken(state, E.TIPPED_OVER, Circumstances(Authority.PILOT))
         assert flown.to is S.ABORT
         assert not flown.actions
 
@@ -394,7 +394,7 @@ def test_stopped_on_the_ground_it_disarms_or_does_nothing() -> None:
 
 
 def test_a_search_begins_anew_where_its_pilot_has_flown_until_control_is_granted() -> None:
-    flown = Circumstances(Authority.NONE, ordered_in_air=True)
+    flown = Circumstances(Authority.PILOT)
     assert taken(S.SEARCH, E.CONTROL_GRANTED, flown).effects == (Effect.SEARCH_FROM_HERE,)
     assert taken(S.SEARCH, E.CONTROL_GRANTED, Circumstances(Authority.NONE)).effects == ()
 
