@@ -94,11 +94,13 @@ class Announcements:
             self._last[of] = now_s, kind
             self(kind, text, now_s, "warning")
 
-    def again(self, kind: str, text: str, now_s: float, after_s: float) -> None:
+    def again(
+        self, kind: str, text: str, now_s: float, after_s: float, severity: NoticeSeverity = "info"
+    ) -> None:
         """Say it, but not in every cycle: no sooner than so long after the last of its kind."""
         if now_s - self._last.get(kind, _NEVER)[0] >= after_s:
             self._last[kind] = now_s, kind
-            self(kind, text, now_s)
+            self(kind, text, now_s, severity)
 
     def change(
         self, of: str, kind: str, text: str, now_s: float, after_s: float, severity: NoticeSeverity

@@ -160,11 +160,11 @@ class Planner:
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
+        pressed, before = self._steering.presses_down, self.phase
         self._standing_height.update(inputs, now_s)
         inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
         conditions = self._set_pace(inputs, now_s)
-        pressed, before = self._steering.presses_down, self.phase
         self._react(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it
         left_pad = pressed and not self._steering.presses_down

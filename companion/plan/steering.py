@@ -52,11 +52,16 @@ from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6  # wider tolerances in the last try: after it control is returned
 _UNCONTRADICTED_S: Final = 2.0  # no echoes may contradict a pad for so long before it is flown to again
+_TELL_S: Final = 5.0  # of a search
 _STREAMING: Final = (MissionEvent.STREAMING, "setpoints are sent")
 
 
 def enter_touchdown(
-    touchdown: TouchdownSequence, state: State, vehicle: VehicleState | None, now_s: float
+    touchdown: TouchdownSequence,
+    state: State,
+    sight: PadState | None,
+    vehicle: VehicleState | None,
+    now_s: float,
 ) -> None:
     """Begin with one of the states within a try."""
     match state:
@@ -65,9 +70,9 @@ def enter_touchdown(
         case State.RISE:
             touchdown.break_off(now_s)
         case State.SET_DOWN:
-            touchdown.begin_set_down(vehicle, now_s)
+            touchdown.begin_set_down(sight, vehicle, now_s)
         case State.STAND:
-            touchdown.begin_stand(now_s)
+            touchdown.begin_stand(sight, now_s)
 
 
 def touch_down(
@@ -154,17 +159,17 @@ class PhaseSteering:
     @property
     def presses_down(self) -> bool:
         """Whether the vehicle is to be kept on the pad without thrust."""
-        return self._machine.state in ON_PAD and not self.touchdown.unconfirmed
+        return self._machine.state in ON_PAD and not self.touchdown.unconfirmed(self._pad.sight)
 
     @property
     def unloading(self) -> float:
         """The share of the thrust (0 to 1) that is taken away, for the feet to carry."""
-        return self.touchdown.unloading if self._machine.state in GOING_DOWN else 0.0
+        return self.touchdown.contact.unloading if self._machine.state in GOING_DOWN else 0.0
 
     @property
     def contact_probability(self) -> float:
         """That the feet stand on the pad, on the way down to it."""
-        return self.touchdown.contact_probability if self._machine.state in GOING_DOWN else 0.0
+        return self.touchdown.contact.probability if self._machine.state in GOING_DOWN else 0.0
 
     def feet_near(self, echo: RangeSample | None, now_s: float) -> bool:
         """Whether the feet may stand on something, by sight or echo; legs may be longer than told."""
@@ -224,7 +229,7 @@ class PhaseSteering:
         elif state is State.WAIT and previous is State.DESCEND:
             self.touchdown = self._new_try(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
         elif state.phase is Phase.TOUCHDOWN:
-            enter_touchdown(self.touchdown, state, inputs.vehicle, now_s)
+            enter_touchdown(self.touchdown, state, self._pad.sight, inputs.vehicle, now_s)
         elif state.phase in {Phase.HOLD, Phase.ABORT}:
             self._enter_hold(previous, had, inputs, now_s)
 
@@ -337,10 +342,9 @@ class PhaseSteering:
             return _STREAMING
         if step.request_pad:
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
-        if step.worth_telling:
             doing = "searching" if step.flying else "holding"
-            known = self.search.locator.source(now_s)
-            self._say("pad_lost", f"pad not in view: {doing} ({known}), position requested", now_s, "warning")
+            words = f"pad not in view: {doing} ({self.search.locator.source(now_s)}), position requested"
+            self._say.again("pad_lost", words, now_s, _TELL_S, "warning")
         return (MissionEvent.PAD_SEEN, self._pad.in_words()) if step.seen else None
 
     def _come_in(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:

@@ -47,8 +47,6 @@ class PadTrack:
     def __init__(self, sightings: int, gap_s: float) -> None:
         self._needed, self._gap_s = sightings, gap_s
         self._count = 0
-        self._seen_s = -math.inf
-        self._delay_s = 0.0  # of the newest sighting: from its exposure until it came
         self.sight: PadState | None = None
         self.motion: Motion | None = None
 
@@ -57,25 +55,26 @@ class PadTrack:
         if pad is None:
             self.sight = None
             return
-        if pad.seen_time_s > self._seen_s:
-            self._note(pad.seen_time_s, now_s)
-        self.sight = replace(pad, delay_s=self._delay_s)
+        self.sight = replace(pad, delay_s=self._delay_s(pad.seen_time_s, now_s))
         if vehicle is not None:
             place = add(vehicle.position_ned_m, pad.relative_position_ned_m)
             self.motion = Motion(place, pad.velocity_ned_m_s, pad.acceleration_ned_m_s2)
 
-    def _note(self, seen_s: float, now_s: float) -> None:
-        """Count the newest sighting, which has come by now."""
-        self._count = self._count + 1 if seen_s - self._seen_s <= self._gap_s else 1
+    def _delay_s(self, seen_s: float, now_s: float) -> float:
+        """From the exposure of the newest sighting until it came; one that has come by now is counted."""
+        before = self.sight
+        if before is not None and seen_s <= before.seen_time_s:
+            return before.delay_s
+        follows = before is not None and seen_s - before.seen_time_s <= self._gap_s
+        self._count = self._count + 1 if follows else 1
         # how long ago the first one came is not known; one that comes later than a pad is known for is old
-        delay_s = now_s - seen_s if math.isfinite(self._seen_s) else 0.0
-        self._delay_s = min(max(0.0, delay_s), KNOWN_S - UNSEEN_S)
-        self._seen_s = seen_s
+        return 0.0 if before is None else min(max(0.0, now_s - seen_s), KNOWN_S - UNSEEN_S)
 
     def steady(self, now_s: float) -> bool:
         """Whether the pad is in view, not just for a frame."""
-        seen = self._count >= self._needed and now_s - self._seen_s <= self._gap_s
-        return self.motion is not None and seen
+        if self.sight is None or self.motion is None:
+            return False
+        return self._count >= self._needed and now_s - self.sight.seen_time_s <= self._gap_s
 
     def distrust(self) -> None:
         """What was seen proved wrong: only new sightings count."""

@@ -40,7 +40,6 @@ class StandingHeight:
         # by their source: when the newest was measured, and the last heights in a row
         self._newest_s = dict.fromkeys(_BELOW_STD_M, -math.inf)
         self._recent_m: dict[str, deque[float]] = {source: deque(maxlen=_COUNT) for source in _BELOW_STD_M}
-        self._moved = False  # since the last was learnt
         self.measured_m: dict[str, tuple[float, float]] = {}  # by its source, with the standard deviation
         self._measured_s = -math.inf
 
@@ -52,7 +51,6 @@ class StandingHeight:
         if not still:
             for recent_m in self._recent_m.values():
                 recent_m.clear()
-            self._moved = True
             return
         echo, sight = inputs.range, inputs.pad
         echo_m = echo_height_m(echo, self._vehicle, now_s)
@@ -103,9 +101,8 @@ class StandingHeight:
         recent_m.append(height_m)
         agree = len(recent_m) == _COUNT and max(recent_m) - min(recent_m) <= 3.0 * _ECHO_NOISE_M
         if agree and still_s >= _STILL_S:
-            if self._moved:
+            if self._measured_s < now_s - still_s:
                 self.measured_m.clear()  # it stood elsewhere: on a bench, say
-                self._moved = False
             self.measured_m[source] = median(recent_m), _MEDIAN_STD * stdev(recent_m)
             self._measured_s = now_s
 

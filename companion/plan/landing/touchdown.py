@@ -94,12 +94,11 @@ class TouchdownSequence:
         self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m
         self._wait_height_m = vehicle.leg_height_m + landing.wait_height_m
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
-        self._sight: PadState | None = None
         self._standing = LandDetector(config, vehicle, now_s)
         self._gave_way_s = self._contact_due_s = now_s
         self._tolerance = Tolerance(config, now_s, tolerance_scale)
         self._held = Debounce()
-        self._contact = ContactFilter(config, self._leg_std_m)
+        self.contact = ContactFilter(config, self._leg_std_m)
         self._short_echoes = ShortEchoes(config.contact_speed_m_s)
         self.tilt = TiltPrediction()
         self._levelling = Levelling(config, vehicle, self._leg_std_m)
@@ -107,25 +106,13 @@ class TouchdownSequence:
 
     def see(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Take in a cycle's estimates."""
-        self._sight = sight
         if vehicle is not None:
             self.tilt.note(vehicle.attitude, sight, now_s)
 
-    @property
-    def unconfirmed(self) -> bool:
+    def unconfirmed(self, sight: PadState | None) -> bool:
         """Whether nothing shows the feet on the pad since our setpoints may not have arrived."""
-        unseen = self._sight is None or self._sight.unseen_s > UNSEEN_S
+        unseen = sight is None or sight.unseen_s > UNSEEN_S
         return unseen and self._standing.doubted
-
-    @property
-    def unloading(self) -> float:
-        """The share of the thrust (0 to 1) that is taken away on the way down, for the feet to carry."""
-        return self._contact.unloading
-
-    @property
-    def contact_probability(self) -> float:
-        """That the feet stand on the pad, or on what is below where the pad was given up."""
-        return self._contact.probability
 
     def level_off(self) -> LevelOff | None:
         """That the vehicle may tilt no further than it may at contact; None until the contact is near."""
@@ -151,7 +138,7 @@ class TouchdownSequence:
             and level_at(sight, self._sinks_for_s(), tolerance.most_tilt_rad(now_s))
             and tilt_m_s2 <= tolerance.max_horizontal_acceleration_m_s2(now_s)
             and tilt_m_s2 <= _COMMITS_BELOW * self._levelling.max_horizontal_acceleration_m_s2
-            and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
+            and self._generator.avoidance.free_for((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
         if waited_s >= c.giving_up_s:
             return (
@@ -200,7 +187,7 @@ class TouchdownSequence:
         """Begin to sink."""
         c = self._config
         self._gave_way_s, self._lowest_m = now_s, math.inf
-        self._contact = ContactFilter(c, self._leg_std_m)
+        self.contact = ContactFilter(c, self._leg_std_m)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
@@ -228,20 +215,20 @@ class TouchdownSequence:
             felt_s=now_s - unfelt_s,
             hangs_m=hangs_m,
         )
-        self._contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
+        self.contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         feet_m = self._vehicle.leg_height_m + hangs_m + self._config.contact_margin_m
         short = echo_m is not None and echo_m <= feet_m
         within_hand = obeys and sight is not None and self._within_hand(sight, unfelt_s)
         self._short_echoes.note(inputs.range if within_hand and short else None)
         blind = sight is not None and sight.age_s > self._config.blind_s
-        if self._contact.contact:
-            return MissionEvent.CONTACT, self._contact.in_words()
+        if self.contact.contact:
+            return MissionEvent.CONTACT, self.contact.in_words()
         if blind and self.feet_down(now_s):
             return MissionEvent.CONTACT, "echoes that shorten no more"
-        if self._contact.touching:
+        if self.contact.touching:
             self._levelling.touching(now_s)
-        if self._contact.touching or silent:
+        if self.contact.touching or silent:
             return None  # without the IMU all else is only predicted
         if (lost := self._lost(sight, inputs.range, now_s)) is not None:
             return lost
@@ -356,17 +343,17 @@ class TouchdownSequence:
 
     # ------------------------------------------------------------ set down, and stand
 
-    def begin_set_down(self, vehicle: VehicleState | None, now_s: float) -> None:
+    def begin_set_down(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Begin to go straight down, level."""
-        self._contact = ContactFilter(self._config, self._leg_std_m)
+        self.contact = ContactFilter(self._config, self._leg_std_m)
         self._go_straight_down(vehicle, now_s)
-        self._standing = LandDetector(self._config, self._vehicle, now_s, self._sight)
+        self._standing = LandDetector(self._config, self._vehicle, now_s, sight)
         self._levelling.reset()
         self._levelling.stay(now_s)
 
-    def begin_stand(self, now_s: float) -> None:
+    def begin_stand(self, sight: PadState | None, now_s: float) -> None:
         """The feet are on the pad."""
-        self._standing = LandDetector(self._config, self._vehicle, now_s, self._sight)
+        self._standing = LandDetector(self._config, self._vehicle, now_s, sight)
         self._stay_down(now_s)
 
     def _go_straight_down(self, vehicle: VehicleState | None, now_s: float) -> None:
@@ -406,8 +393,8 @@ class TouchdownSequence:
             felt_s=-math.inf if vehicle is None else vehicle.sensed_time_s,
             state=vehicle,
         )
-        self._contact.update(feet, now_s)
-        return (MissionEvent.CONTACT, self._contact.in_words()) if self._contact.contact else None
+        self.contact.update(feet, now_s)
+        return (MissionEvent.CONTACT, self.contact.in_words()) if self.contact.contact else None
 
     def stand(
         self, sight: PadState | None, inputs: PlanInputs, now_s: float, *, in_land: bool
@@ -441,7 +428,7 @@ class TouchdownSequence:
         """Why it does not stay on the pad; "" while it does."""
         why = self._standing.off_by_itself(sight, inputs, now_s)
         # LAND is asked for just where nothing shows the feet down
-        if why and not (in_land and self.unconfirmed):
+        if why and not (in_land and self.unconfirmed(sight)):
             return why
         away = sight is not None and self._standing.off_pad(sight, now_s)
         slips = self._standing.arrives(now_s) or self._standing.doubted

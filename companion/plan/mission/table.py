@@ -363,7 +363,7 @@ def by_severity(events: Iterable[DetectedEvent]) -> tuple[DetectedEvent, ...]:
 
 
 def follows(state: State, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
-    """What follows an event; None: it means nothing in this state. Released it stays, and asks for nothing."""
+    """What follows an event; None: it means nothing. Released it stays, and nothing is asked any more."""
     branches = TABLE[state, event]
     branch = next((b for b in branches if circumstances.allow(b.guard)), None)
     if branch is not None and circumstances.authority is Authority.RELEASED:

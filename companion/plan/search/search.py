@@ -30,7 +30,6 @@ _FLOOR_STEP_M = 0.3
 # A pad steadily in view for this long ends the search however it moves.
 _LONG_IN_VIEW_S = 3.0
 _ANY_SIGHT_AFTER_S = 10.0
-_TELL_S = 5.0
 # Detours are not planned in every cycle: after this long one was tried to the present corner.
 _SOUGHT_S = 0.5
 
@@ -53,7 +52,6 @@ class SearchStep:
 
     streaming: bool = False
     request_pad: bool = False
-    worth_telling: bool = False
     seen: bool = False
     flying: bool = False
 
@@ -68,7 +66,7 @@ class Search:
         self.locator = PadLocator(config)
         self._place_m, self._most_up_m = ZERO3, 0.0  # where it holds, and at what height it searches
         self._corner = 0
-        self._next_request_s = self._reported_s = self._turned_s = -math.inf
+        self._next_request_s = self._turned_s = -math.inf
         self._held = Debounce()
 
     def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
@@ -95,7 +93,6 @@ class Search:
         self._corner = 0
         self._held.end("arrived", "in view", "searches")
         self._held.held_s("searches", True, now_s)
-        self._reported_s = -math.inf
         return here[2] - down_m
 
     def go_along(self, step_m: Vector3) -> None:
@@ -165,10 +162,7 @@ class Search:
             self._generator.fly_to(self._target(now_s), now_s)
         elif searched_s >= SHORTEST_STOP_S:  # a search that begins with a climb comes to rest first
             self._generator.fly_to(Motion(self._place_m), now_s)
-        tell = request and now_s - self._reported_s >= _TELL_S
-        if tell:
-            self._reported_s = now_s
-        return SearchStep(request_pad=request, worth_telling=tell, flying=flying)
+        return SearchStep(request_pad=request, flying=flying)
 
     def _waits_for_it(self, now_s: float) -> bool:
         """Whether the pad is too fast to be followed; the reference comes to rest when that begins."""

@@ -158,10 +158,6 @@ class ReferenceGenerator:
             self._pad = pad
             self._look_from_frame()
 
-    def stays_clear(self, place: Vector3, duration_s: float) -> bool:
-        """Whether a place in the present frame, going with it, keeps clear of the obstacles for so long."""
-        return self.avoidance.free_for(place, duration_s)
-
     def fly_along(self, points: Sequence[Vector3], now_s: float) -> None:
         """Through points of the EKF's NED by minimum jerk, round what is between them; the last is a halt.
 

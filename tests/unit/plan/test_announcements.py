@@ -30,8 +30,8 @@ def test_what_is_waited_for_is_said_again_after_a_while_each_kind_for_itself() -
     for now_s in (0.0, 9.9, 10.0, 15.0):
         say.again("waiting", "no home", now_s, 10.0)
     assert kinds(say) == ["waiting", "waiting"]
-    say.again("standby", "no camera", 15.0, 10.0)
-    assert kinds(say) == ["standby"]
+    say.again("standby", "no camera", 15.0, 10.0, "warning")
+    assert [(n.kind, n.severity) for n in say.drain()] == [("standby", "warning")]
 
 
 def test_a_change_is_said_unless_it_follows_the_last_too_soon() -> None:

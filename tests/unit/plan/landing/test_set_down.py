@@ -19,7 +19,7 @@ LANDING = AutopilotState(0.0, connected=True, armed=True, offboard=False, landed
 def test_under_the_autopilots_land_the_contact_is_felt() -> None:
     """Feet down, the pad seen at the feet, short echoes: nothing sinks any more."""
     sequence, now_s = sinking()._sequence, 10.0
-    enter_touchdown(sequence, State.SET_DOWN, vehicle_state(now_s), now_s)
+    enter_touchdown(sequence, State.SET_DOWN, None, vehicle_state(now_s), now_s)
     found = None
     for _ in range(60):
         now_s += CYCLE_S
@@ -32,13 +32,13 @@ def test_under_the_autopilots_land_the_contact_is_felt() -> None:
 def test_what_an_earlier_try_stood_does_not_cut_the_motors_of_a_later_one() -> None:
     sequence, now_s = sinking()._sequence, 10.0
     inputs = PlanInputs(vehicle_state(now_s), None, LANDING, range=RangeSample(now_s, 0.1))
-    enter_touchdown(sequence, State.STAND, vehicle_state(now_s), now_s)
+    enter_touchdown(sequence, State.STAND, None, vehicle_state(now_s), now_s)
     for k in range(20):  # beyond its first moments, in which it may still slide
         at_s = now_s + k * CYCLE_S
         resting = replace(inputs, vehicle=vehicle_state(at_s), range=RangeSample(at_s, 0.1))
         touch_down(sequence, State.STAND, sight(height=LEG_M), resting, at_s)
     later_s = now_s + 20.0
-    enter_touchdown(sequence, State.SET_DOWN, vehicle_state(later_s), later_s)
+    enter_touchdown(sequence, State.SET_DOWN, None, vehicle_state(later_s), later_s)
     landing = replace(inputs, vehicle=vehicle_state(later_s), range=RangeSample(later_s, 0.1))
     assert touch_down(sequence, State.AUTO_LAND, sight(height=LEG_M), landing, later_s) is None
 

@@ -50,6 +50,7 @@ class Attempt:
         self.broken_off_by = ""
         self.contact_s = math.nan
         self.now_s = -CYCLE_S  # of the last cycle
+        self._seen: PadState | None = None  # in it
         self.level_off = sequence.level_off
         self.reference = generator
 
@@ -67,11 +68,11 @@ class Attempt:
 
     @property
     def unloading(self) -> float:
-        return self._sequence.unloading if self.state in GOING_DOWN else 0.0
+        return self._sequence.contact.unloading if self.state in GOING_DOWN else 0.0
 
     @property
     def unconfirmed(self) -> bool:
-        return self._sequence.unconfirmed
+        return self._sequence.unconfirmed(self._seen)
 
     def feet_down(self, now_s: float) -> bool:
         return self._sequence.feet_down(now_s)
@@ -90,7 +91,7 @@ class Attempt:
         imu_age_s: float | None = None,
     ) -> DetectedEvent | None:
         """One cycle; the vehicle's own state is known where its IMU has an age."""
-        self.now_s = now_s
+        self.now_s, self._seen = now_s, seen
         vehicle = None if imu_age_s is None else vehicle_state(now_s, imu_age_s=imu_age_s)
         echo = None if echo_m is None else RangeSample(now_s, echo_m)
         autopilot = AutopilotState(now_s, landed=landed, connected=True)
@@ -102,7 +103,7 @@ class Attempt:
         if branch is None or branch.to not in TOUCHDOWN:
             return detected
         self.state = branch.to
-        enter_touchdown(self._sequence, self.state, vehicle, now_s)
+        enter_touchdown(self._sequence, self.state, seen, vehicle, now_s)
         if self.state is State.RISE:
             self.broken_off_by = detected[1]
         if self.state is State.STAND:

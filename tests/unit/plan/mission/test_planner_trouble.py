@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -348,6 +349,8 @@ def test_a_pad_that_is_not_at_the_waypoint_is_found_by_its_beacon() -> None:
     assert first.startswith("pad not in view: holding")
     assert first.endswith("position requested")
     assert any("by its beacon" in text for text in flight.told("pad_lost"))
+    told_s = [n.time_s for n in flight.notices if n.kind == "pad_lost"]
+    assert min(later_s - s for s, later_s in pairwise(told_s)) >= 5.0  # not at every request
 
 
 def test_a_beacon_outside_the_fence_is_ignored_and_announced() -> None:

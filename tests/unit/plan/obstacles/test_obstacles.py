@@ -354,11 +354,11 @@ def test_a_place_on_a_moving_pad_stays_clear_only_until_the_pad_comes_near() -> 
     g = generator(pole_shape(0.0, 10.0))
     g.see(HOME, Motion(from_home(0.0, 0.0, 0.3), (0.0, 2.0, 0.0)))
     g.start("pad", Motion((0.0, 0.0, -1.0)), 0.0)
-    assert g.stays_clear((0.0, 0.0, -0.2), 3.5)
-    assert not g.stays_clear((0.0, 0.0, -0.2), 4.5)
+    assert g.avoidance.free_for((0.0, 0.0, -0.2), 3.5)
+    assert not g.avoidance.free_for((0.0, 0.0, -0.2), 4.5)
     # a pad that turns away in time does not
     g.see(HOME, Motion(from_home(0.0, 0.0, 0.3), (0.0, 2.0, 0.0), (1.0, 0.0, 0.0)))
-    assert g.stays_clear((0.0, 0.0, -0.2), 6.0)
+    assert g.avoidance.free_for((0.0, 0.0, -0.2), 6.0)
 
 
 def test_a_gust_into_the_margin_is_left_the_short_way() -> None:
