@@ -27,6 +27,8 @@ _SEMIMAJOR_M: Final = 6378137.0  # WGS-84
 _SEMIMINOR_M: Final = 6356752.31424518
 _FOCAL2_M2: Final = _SEMIMAJOR_M**2 - _SEMIMINOR_M**2
 ZERO3: Final[Vector3] = (0.0, 0.0, 0.0)
+EYE3: Final[FloatArray] = np.eye(3)
+EYE3.flags.writeable = False  # it is everybody's
 
 
 def wrap_angle(angle_rad: float) -> float:

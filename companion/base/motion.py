@@ -1,8 +1,11 @@
 """How a point moves at one moment: the one form for a vehicle's or a pad's motion in a named frame."""
 
 from dataclasses import dataclass
+from typing import Final
 
 from companion.base.geometry import ZERO3, Vector3
+
+COURSE_M_S: Final = 0.3  # slower than this a pad has no course: how it turns is noise
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from companion.base.geometry import (
+    EYE3,
     ZERO3,
     FloatArray,
     Quaternion,
@@ -54,7 +55,7 @@ class MotionHistory:
     def __init__(self, span_s: float) -> None:
         self.noise_density_m2_s3 = self.turn_density_rad2_s = 0.0
         self.imu_body_m: Vector3 = ZERO3
-        self.imu_covariance_m2: FloatArray = LEVER_STD_M**2 * np.eye(3)
+        self.imu_covariance_m2: FloatArray = LEVER_STD_M**2 * EYE3
         self._span_s = span_s
         self._times_s: list[float] = []
         self._attitudes: list[Quaternion] = []

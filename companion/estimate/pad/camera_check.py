@@ -43,6 +43,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
+    EYE3,
     GRAVITY_M_S2,
     FloatArray,
     Quaternion,
@@ -90,7 +91,6 @@ SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sighti
 _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
 _F, _BODY = 17, slice(11, 18)  # m is 14:17
 _STATES: Final = 18
-_EYE3: Final = np.eye(3)
 
 
 class CameraCheck:
@@ -202,7 +202,7 @@ class CameraCheck:
     def _body(self, attitude: Quaternion, pad_body_m: Vector3) -> FloatArray:
         """How the pad's place as seen (NED) changes by what is constant in the body (3, 7)."""
         columns = np.zeros((3, 7))
-        columns[:, :3] = _EYE3
+        columns[:, :3] = EYE3
         columns[:, 3:6] = rotation_lever(pad_body_m)
         columns[:, 6] = self._axis * (self._axis @ np.array(pad_body_m))
         turned: FloatArray = matrix_from_quat(attitude) @ columns
@@ -237,8 +237,8 @@ class CameraCheck:
         moved, sped = (np.array(u) for u in self._motion.moved(self._time_s, time_s))
         fade = math.exp(-dt / PAD_ACCELERATION_S)
         F = np.eye(_STATES)
-        F[_Q, _V], F[_Q, _A], F[_V, _A] = dt * _EYE3, 0.5 * dt * dt * _EYE3, dt * _EYE3
-        F[_A, _A] = fade * _EYE3
+        F[_Q, _V], F[_Q, _A], F[_V, _A] = dt * EYE3, 0.5 * dt * dt * EYE3, dt * EYE3
+        F[_A, _A] = fade * EYE3
         F[_Q, _K], F[_V, _K] = -moved, -sped
         self._x = F @ self._x
         push = PAD_ACCELERATION_M_S2**2 * (1.0 - fade * fade)
@@ -258,10 +258,10 @@ class CameraCheck:
     ) -> None:
         seen, sweep = np.array(quat_rotate(attitude, pad_body_m)), np.array(sweep_m_s)
         H = np.zeros((3, _STATES))
-        H[:, _Q] = _EYE3
+        H[:, _Q] = EYE3
         H[:, _D] = -sweep
         H[:, _BODY] = self._body(attitude, pad_body_m)
-        self._update(seen - self.delay_s * sweep - H @ self._x, H, noise_m2 * _EYE3, scale=scale)
+        self._update(seen - self.delay_s * sweep - H @ self._x, H, noise_m2 * EYE3, scale=scale)
 
     def _follow(self, elapsed_s: float) -> None:
         wanted_s = max(-LARGEST_DELAY_S, min(LARGEST_DELAY_S, float(self._x[_D])))

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale, wrap_angle
+from companion.base.geometry import EYE3, ZERO3, FloatArray, Vector3, add, scale, wrap_angle
 from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, passes
 from companion.estimate.motion import MotionHistory
@@ -63,12 +63,11 @@ from companion.estimate.pad.velocity_step import (
 MODEL_DWELL_S: Final = 5.0  # a motion keeps its model so long on average
 HEADING_ACCELERATION_RAD_S2_RTHZ: Final = 0.3  # process noise of the pad's turn rate
 HEADING_NOISE_DEG: Final = 0.5  # added to what a sighting says
-SIGHTING_NOISE_FLOOR_M: Final = 0.0002
 UNKNOWN_PLACE_M: Final = 1000.0  # of a pad before the first fix of it
 FIX_TIMEOUT_S: Final = 5.0  # fixes of an unseen pad refused for so long: it starts again from the next
 FIRST_CLIMB_STD_M_S: Final = 0.4  # at the first sighting: pads drive, but hardly rise
 
-_NOISE_FLOOR_M2: Final = SIGHTING_NOISE_FLOOR_M**2 * np.eye(3)
+_NOISE_FLOOR_M2: Final = 0.0002**2 * EYE3  # of a sighting
 _CLIMB: Final = 1  # the second of the bank's groups
 _NO_AXIS_M2: Final = 1.0  # noise on the vertical models' second axis, where all expect the same
 
@@ -377,7 +376,7 @@ class PadFilter:
 
     def _start_by_fix(self, time_s: float, fix: RelativeFix) -> None:
         """Of a pad of which nothing is known the first fix tells all, as every later one its part."""
-        self._start_motion(time_s, fix, UNKNOWN_PLACE_M**2 * np.eye(3))
+        self._start_motion(time_s, fix, UNKNOWN_PLACE_M**2 * EYE3)
         self._update(self._parts(fix))
         self.seen_time_s, self.observed_time_s = -math.inf, time_s
         self._turn, self._heading, self._tilt = Turn(), AngleState(), LEVEL

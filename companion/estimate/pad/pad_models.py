@@ -35,6 +35,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from companion.base.geometry import FloatArray
+from companion.base.motion import COURSE_M_S
 from companion.config import PadFilterConfig
 
 STEADY_ACCELERATION_STD_M_S2: Final = 0.15  # a pad that drives straight on: bumps, and the horizon's error
@@ -48,8 +49,6 @@ SWAY_DAMPING: Final = 0.2  # how far real periods stray from the models'
 WAVE_DAMPING: Final = 0.12
 REST_ACCELERATION_STD_M_S2: Final = 0.05  # vertically, of a pad that rides no waves
 
-# below this speed the course says little about how it turns
-MINIMUM_SPEED_M_S: Final = 0.3
 # how far a pad's heading and its course may turn apart, and how fast courses turn at all
 HEADING_IS_COURSE_RAD_S: Final = 0.1
 STRAIGHT_ON_RAD_S: Final = 0.5
@@ -97,7 +96,7 @@ def course_turn(
         heading_rate_variance: its variance, (rad/s)².
     """
     (vn, ve), (an, ae) = velocity_m_s, acceleration_m_s2
-    speed_squared = vn * vn + ve * ve + MINIMUM_SPEED_M_S**2
+    speed_squared = vn * vn + ve * ve + COURSE_M_S**2
     by_course = 1.0 / max(acceleration_variance / speed_squared, 1e-4)
     by_heading = 1.0 / (heading_rate_variance + HEADING_IS_COURSE_RAD_S**2)
     variance = 1.0 / (by_course + by_heading + 1.0 / STRAIGHT_ON_RAD_S**2)

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3, vector3
+from companion.base.geometry import EYE3, FloatArray, Vector3, vector3
 from companion.estimate.gating import Gate
 from companion.estimate.motion import rotation_lever
 from companion.estimate.pad.model_bank import BankState
@@ -20,7 +20,6 @@ from companion.estimate.pad.pad_models import Turn
 from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, AngleState, PadTilt, TiltState
 from companion.estimate.pad.velocity_step import RefusedSighting
 
-_EYE3: Final = np.eye(3)
 # where (position, velocity, acceleration) of the three axes are in both groups' means (2, 8), and their
 # covariances in those (2, 8, 8); between the groups there is none, as on the vertical's second axis
 STATES_AT: Final = np.array([8 * (axis // 2) + 2 * kind + axis % 2 for kind in range(3) for axis in range(3)])
@@ -129,6 +128,6 @@ class CombinedEstimate:
         total = self.P[:6, :6] + swings @ rotation_covariance @ swings.T
         total[3:, 3:] += wander_rad_s**2 * (swings[:3] @ rotation_covariance @ swings[:3].T)
         share = self.slow_share**2
-        total[:3, :3] += share * float(position @ position) * _EYE3
-        total[3:, 3:] += share * float(velocity @ velocity) * _EYE3
+        total[:3, :3] += share * float(position @ position) * EYE3
+        total[3:, 3:] += share * float(velocity @ velocity) * EYE3
         return total

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
+    EYE3,
     FloatArray,
     matrix_from_quat,
     quat_multiply,
@@ -46,7 +47,7 @@ def in_ned(sighting: PadSighting, exposure: VehicleAtExposure) -> PadMeasurement
     north, east, _ = quat_rotate(attitude, quat_rotate(sighting.body_from_pad, (0.0, 0.0, 1.0)))
     return PadMeasurement(
         position_ned_m=position,
-        covariance_ned_m2=covariance - slow * np.eye(3) + jitter * (lever @ lever.T),
+        covariance_ned_m2=covariance - slow * EYE3 + jitter * (lever @ lever.T),
         heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
         heading_std_rad=math.sqrt(max(turn, 0.0) + jitter),
         vehicle_velocity_ned_m_s=exposure.velocity_ned_m_s,

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3, norm, vector3
+from companion.base.geometry import EYE3, FloatArray, Vector3, norm, vector3
 from companion.estimate.gating import CHI_SQUARE_999, normalised_innovation_squared
 
 # Two sightings farther apart do not show what happened in between.
@@ -87,4 +87,4 @@ def _step(first: RefusedSighting, later: RefusedSighting, seen_time_s: float) ->
     if not normalised_innovation_squared(leap, leap_covariance) <= CHI_SQUARE_999[3]:
         return None
     drift = (_ACCELERATION_STD_M_S2 * apart_s) ** 2
-    return VelocityEstimate(vector3(change.tolist()), noise + drift * np.eye(3), later.noise_m2 / apart_s)
+    return VelocityEstimate(vector3(change.tolist()), noise + drift * EYE3, later.noise_m2 / apart_s)

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
+    EYE3,
     GRAVITY_M_S2,
     FloatArray,
     Quaternion,
@@ -42,8 +43,8 @@ from companion.estimate.vehicle.ekf_inputs import (
     ImuStep,
     SecondAttitudeStep,
 )
-from companion.estimate.vehicle.ekf_start import InitialState
-from companion.estimate.vehicle.ekf_state import EYE, EYE3, FIXES, EkfSnapshot, EkfState
+from companion.estimate.vehicle.ekf_start import MOVING_SPEED_M_S, InitialState
+from companion.estimate.vehicle.ekf_state import EYE, FIXES, EkfSnapshot, EkfState
 from companion.estimate.vehicle.fix_watch import LastFix
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
@@ -54,10 +55,9 @@ UNKNOWN_HEADING_RAD: Final = math.pi
 MAG_REFUSED_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
 WRONG_HEADING_RAD: Final = math.radians(30.0)  # by so much
 GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 5 Hz
-GPS_REFUSED_S: Final = 2.0  # fixes refused for so long: start again from GPS
-GPS_TIMEOUT_S: Final = 2.0  # no fix for so long: the state has no GPS
+# no fix for so long, or none that fits: the state has no GPS, and starts again from the next
+GPS_TIMEOUT_S: Final = 2.0
 
-UNKNOWN_SPEED_M_S: Final = 10.0  # a fix whose velocity component is more uncertain does not count
 STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope shows
 STEP_TURN_STD_RAD: Final = math.radians(0.5)
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
@@ -318,7 +318,7 @@ class VehicleEkf(EkfState):
         if fits:
             self.gps_time_s = time_s
             self._watch_heading(time_s, fix, predicted, lag)
-        if any(self.gates[kind].shut_out(time_s, GPS_REFUSED_S) for kind in FIXES):
+        if any(self.gates[kind].shut_out(time_s, GPS_TIMEOUT_S) for kind in FIXES):
             keep_speed = not self.gates["gps_velocity"].refused_in_a_row
             self._start_from(time_s, fix, keep_speed)
 
@@ -357,7 +357,7 @@ class VehicleEkf(EkfState):
         q, x = self.attitude, self.x.copy()
         own = np.sqrt(self.P.diagonal()[model.VELOCITY])
         speed_known = np.less(
-            fix.velocity_std_m_s, np.minimum(own, UNKNOWN_SPEED_M_S) if keep_speed else UNKNOWN_SPEED_M_S
+            fix.velocity_std_m_s, np.minimum(own, MOVING_SPEED_M_S) if keep_speed else MOVING_SPEED_M_S
         )
         x[model.POSITION] = np.subtract(fix.position_ned_m, quat_rotate(q, self._antenna_body_m))
         x[model.VELOCITY] = np.where(speed_known, fix.velocity_ned_m_s, x[model.VELOCITY])

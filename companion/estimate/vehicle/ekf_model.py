@@ -15,12 +15,14 @@ Every function returns plain values and Jacobians; none changes its arguments.
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.base.geometry import (
+    EYE3,
     GRAVITY_M_S2,
     FloatArray,
     Quaternion,
@@ -39,23 +41,22 @@ from companion.base.geometry import (
 )
 from companion.estimate.motion import rotation_lever
 
-QUATERNION: Final = slice(0, 4)
-EULER: Final = slice(4, 7)
-RATE: Final = slice(7, 10)
-POSITION: Final = slice(10, 13)
-VELOCITY: Final = slice(13, 16)
-ACCELERATION: Final = slice(16, 19)
-ACCEL_BIAS: Final = slice(19, 22)
-GYRO_BIAS: Final = slice(22, 25)
-FIELD: Final = slice(25, 28)
-MAG_BIAS: Final = slice(28, 31)
+
+def _in_a_row(*sizes: int) -> list[slice]:
+    """Where groups of so many states stand, one after another."""
+    ends = accumulate(sizes)
+    return [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+
+
+QUATERNION, EULER, RATE, POSITION, VELOCITY, ACCELERATION, ACCEL_BIAS, GYRO_BIAS, FIELD, MAG_BIAS = _in_a_row(
+    4, 3, 3, 3, 3, 3, 3, 3, 3, 3
+)
 STATES: Final[int] = MAG_BIAS.stop
 MOVING: Final[int] = ACCELERATION.stop  # these rows change by themselves, the biases and the field do not
 COUPLED: Final[int] = GYRO_BIAS.stop  # and what they change by is in these columns
 ATTITUDE: Final = slice(QUATERNION.start, EULER.stop)
 IMU_BIASES: Final = slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
 
-_EYE3: Final = np.eye(3)
 _CONSTANTS: Final = np.array((0.0, 1.0, -1.0))
 
 
@@ -233,7 +234,7 @@ def mag_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
     C = np.zeros((3, STATES))
     C[:, QUATERNION] = inverse_rotation_jacobian(q, field)
     C[:, FIELD] = matrix_from_quat(q).T
-    C[:, MAG_BIAS] = _EYE3
+    C[:, MAG_BIAS] = EYE3
     return x[MAG_BIAS] + quat_rotate_inverse(q, field), C
 
 
@@ -243,8 +244,8 @@ def gps_position_model(
     """Antenna's position p + v t + R l, t = later_s after the state's time: (3,) NED in m, and (3, 31)."""
     q = quaternion_of(x)
     C = np.zeros((3, STATES))
-    C[:, POSITION] = _EYE3
-    C[:, VELOCITY] = later_s * _EYE3
+    C[:, POSITION] = EYE3
+    C[:, VELOCITY] = later_s * EYE3
     C[:, QUATERNION] = rotation_jacobian(q, antenna_body_m)
     return x[POSITION] + later_s * x[VELOCITY] + quat_rotate(q, antenna_body_m), C
 
@@ -255,8 +256,8 @@ def gps_velocity_model(
     """Antenna's velocity v + a t + R (ω × l), t = later_s after the state's time: (3,) m/s, and (3, 31)."""
     q, lever = quaternion_of(x), cross(vector3(x[RATE]), antenna_body_m)
     C = np.zeros((3, STATES))
-    C[:, VELOCITY] = _EYE3
-    C[:, ACCELERATION] = later_s * _EYE3
+    C[:, VELOCITY] = EYE3
+    C[:, ACCELERATION] = later_s * EYE3
     C[:, QUATERNION] = rotation_jacobian(q, lever)
     C[:, RATE] = matrix_from_quat(q) @ rotation_lever(antenna_body_m)
     return x[VELOCITY] + later_s * x[ACCELERATION] + quat_rotate(q, lever), C

@@ -33,7 +33,8 @@ MAG_BIAS_WALK_UT_RTS: Final = 0.02
 # of the field while no fix has told the place: between 60 deg south and north nine in ten are within 30 deg
 DECLINATION_STD_RAD: Final = math.radians(20.0)
 
-MOVING_SPEED_M_S: Final = 10.0  # an axis, of a vehicle that is started in motion
+# an axis, of a vehicle that is started in motion; a fix whose velocity is more uncertain says nothing of it
+MOVING_SPEED_M_S: Final = 10.0
 
 # keeps the covariance positive definite along the quaternion's length and the Euler angles, which are
 # functions of other states (1e-5 rad)

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Quaternion, euler_from_quat, quat_normalise
+from companion.base.geometry import EYE3, FloatArray, Quaternion, euler_from_quat, quat_normalise
 from companion.base.late_import import imported_late
 from companion.config import EkfConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
@@ -42,7 +42,6 @@ UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the 
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
 UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
 UNSEEN_JERK_M_S3: Final = 6.0
-EYE3: Final = np.eye(3)
 EYE4: Final = np.eye(4)
 EYE: Final = np.eye(model.STATES)
 

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
+    EYE3,
     GRAVITY_M_S2,
     ZERO3,
     FloatArray,
@@ -38,7 +39,6 @@ BLOCK_S: Final = 0.04
 # what the air's force, with the vehicle's own speed, changes by in a second; a multirotor's thrust: all of it
 AIR_WALK_M_S2_RTS: Final = 1.0
 THRUST_WALK_M_S2_RTS: Final = GRAVITY_M_S2
-_EYE3: Final = np.eye(3)
 _WALK: Final = np.diag([LEVER_WALK_M_RTS**2] * 3 + [AIR_WALK_M_S2_RTS**2] * 2 + [THRUST_WALK_M_S2_RTS**2])
 _ARM, _ELSE = slice(0, 3), slice(3, 6)
 
@@ -72,7 +72,7 @@ class LeverArm:
         self.position_body_m = told_body_m
         self.in_air = False
         self._x, self._P = np.zeros(6), np.zeros((6, 6))
-        self._x[_ARM], self._P[_ARM, _ARM] = told_body_m, LEVER_STD_M**2 * _EYE3
+        self._x[_ARM], self._P[_ARM, _ARM] = told_body_m, LEVER_STD_M**2 * EYE3
         self._last: _Block | None = None
         self._block, self._begun = _Block(), False
 
@@ -123,12 +123,12 @@ class LeverArm:
             self._begin(f - S @ self._x[_ARM])
             return
         self._P = self._P + span_s * _WALK
-        H = np.hstack([S, _EYE3])
+        H = np.hstack([S, EYE3])
         # neighbouring triangles share a block: together they tell as much as blocks do
         turned = float(np.trace(self.covariance_m2)) + float(self._x[_ARM] @ self._x[_ARM])
         noise = force_density / span_s + 2.0 * rate_density / span_s**3 * turned
         PH = self._P @ H.T
-        innovation, spread = f - H @ self._x, H @ PH + noise * _EYE3
+        innovation, spread = f - H @ self._x, H @ PH + noise * EYE3
         if normalised_innovation_squared(innovation, spread) > CHI_SQUARE_999[3]:
             self._begun = False  # a blow, or the ground
             return
@@ -142,5 +142,5 @@ class LeverArm:
         """What else is felt is anything."""
         self._x[_ELSE] = other_m_s2
         self._P[_ELSE, :], self._P[:, _ELSE] = 0.0, 0.0
-        self._P[_ELSE, _ELSE] = GRAVITY_M_S2**2 * _EYE3
+        self._P[_ELSE, _ELSE] = GRAVITY_M_S2**2 * EYE3
         self._begun = True

@@ -20,13 +20,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3, scale, subtract, vector3
+from companion.base.geometry import EYE3, FloatArray, Vector3, scale, subtract, vector3
 from companion.estimate.vehicle import ekf_model as model
 
 GYRO_SCALE_ERROR: Final = 0.005  # scale and misalignment of a calibrated MEMS gyroscope
 _WALK_RTS: Final = 1e-4  # with the temperature
-
-_EYE3: Final = np.eye(3)
 
 
 class YawError(NamedTuple):
@@ -39,7 +37,7 @@ class YawError(NamedTuple):
     @staticmethod
     def first() -> YawError:
         """Calibrated, and nothing known beyond that."""
-        return YawError(np.zeros(3), GYRO_SCALE_ERROR**2 * _EYE3, np.zeros((model.STATES, 3)))
+        return YawError(np.zeros(3), GYRO_SCALE_ERROR**2 * EYE3, np.zeros((model.STATES, 3)))
 
     def taken_off(self, rate_body_rad_s: Vector3, yaw_rad_s: float) -> Vector3:
         """A measured rate without what a yaw has added to it."""
@@ -50,7 +48,7 @@ class YawError(NamedTuple):
         G = A[:, model.GYRO_BIAS] * yaw_rad_s
         with_state = self.with_state.copy()
         with_state[: model.MOVING] = A @ self.with_state[: model.COUPLED] + G @ self.covariance
-        covariance = self.covariance + _WALK_RTS**2 * dt_s * _EYE3
+        covariance = self.covariance + _WALK_RTS**2 * dt_s * EYE3
         return YawError(self.share, covariance, with_state), G
 
     def considered(self, C: FloatArray, K: FloatArray, J: FloatArray) -> YawError:

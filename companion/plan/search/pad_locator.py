@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 from companion.base.geometry import ZERO3, Vector3, add, ned_from_geodetic, wrap_angle
 from companion.base.messages import CarriedPad, PadBeacon
-from companion.base.motion import Motion
+from companion.base.motion import COURSE_M_S, Motion
 from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import SearchConfig
-from companion.plan.trajectory.coordinate_frames import COURSE_M_S, FASTEST_TURN_RAD_S, along_arc
+from companion.plan.trajectory.coordinate_frames import FASTEST_TURN_RAD_S, along_arc
 
 # Courses are compared over this time: over less they differ by noise, over more it may have circled.
 _TURN_OVER_S = 1.0

@@ -9,12 +9,10 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale
-from companion.base.motion import Motion
+from companion.base.motion import COURSE_M_S, Motion
 
 STILL: Final = Motion(ZERO3)
-# Slower than this a pad has no course; a faster turn is noise, or turning back.
-COURSE_M_S: Final = 0.3
-FASTEST_TURN_RAD_S: Final = 1.0
+FASTEST_TURN_RAD_S: Final = 1.0  # of a pad's course: a faster turn is noise, or turning back
 
 
 def in_space(motion: Motion, frame: Motion) -> Motion:

@@ -32,6 +32,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
+    EYE3,
     ZERO3,
     FloatArray,
     Vector3,
@@ -78,7 +79,6 @@ SAME_RAD: Final = 0.002
 MAXIMUM_TURN_RAD: Final = math.radians(10.0)
 # a pad whose tilt is more than this many standard deviations is not our pad
 MAXIMUM_TILT_SIGMA: Final = 4.0
-_EYE: Final = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +293,7 @@ def _accept(
         common = (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
         covariance = fit.covariance * scale
         unseen = unseen_m2(float(fit.position[2]), problem.delay_s, problem.focal_px)
-        covariance[:3, :3] += _EYE * (common + unseen)
+        covariance[:3, :3] += EYE3 * (common + unseen)
         made.append(
             PoseFit(fit.position, fit.rotation, covariance, problem.row_px, tuple(used), rms_px, common)
         )
@@ -472,7 +472,7 @@ def _normal_equations(
     information, gradient = white @ white.T, white @ missed
     if problem.down is not None:
         axis, weight = rotation[:, 2], problem.level_sigma**-2
-        information[3:6, 3:6] += weight * (_EYE - axis[:, None] * axis)
+        information[3:6, 3:6] += weight * (EYE3 - axis[:, None] * axis)
         gradient[3:6] += weight * np.array(cross(vector3(axis), vector3(problem.down)))
     np.einsum("ii->i", information)[6:] += problem.weight
     gradient[6:] -= problem.weight * unexpected
