@@ -30,7 +30,7 @@ from companion.base.messages import Setpoint
 from companion.config import LimitsConfig
 from companion.control.attitude import attitude_from_acceleration
 
-# after a longer pause than this the command may still jump no further than in this time
+# a pause that is longer counts as this: the command jumps no further, and no more is learnt
 LONGEST_STEP_S = 0.2
 # rounding alone is not a breach
 ROUNDING = 1.0 + 1e-9

@@ -7,13 +7,13 @@ from typing import Final
 
 from companion.base.messages import AutopilotSetup, AutopilotState, LandedState, VehicleState
 from companion.config import VehicleConfig
+from companion.control.limits import LONGEST_STEP_S
 from companion.control.response.plant import Plant
 
 # so much faster than planned, and than thrust explains, for so long, is a fall
 FALLS_M_S: Final = 0.5
 FALLS_S: Final = 0.3
 FRESH_S: Final = 0.4  # reports of the thrust come 20 times a second
-LONGEST_STEP_S: Final = 0.2
 
 
 class ThrustGuard:

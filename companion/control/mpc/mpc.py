@@ -49,21 +49,18 @@ with imported_late("jinja2"):  # with which it would write C code
 
 # measured: 15 to 25 iterations from a warm start; rho moves only when a far start takes more than 50, and by
 # OSQP's count of iterations, since its own choice of interval goes by time
-RHO = 1.0
-RHO_BY_ITERATIONS = 1
-RHO_INTERVAL = 50
-SLICE_ITERATIONS = 100
 SETTINGS: Final[dict[str, Any]] = {
     "eps_abs": 1e-4,
     "eps_rel": 1e-4,
     "check_termination": 5,
-    "rho": RHO,
-    "adaptive_rho": RHO_BY_ITERATIONS,
-    "adaptive_rho_interval": RHO_INTERVAL,
+    "rho": 1.0,
+    "adaptive_rho": 1,
+    "adaptive_rho_interval": 50,
     "polishing": False,
     "warm_starting": True,
     "verbose": False,
 }
+SLICE_ITERATIONS = 100
 FIRST_HOVER_THRUST = 0.5  # share of full thrust that carries the weight, until a target gives it
 AT_BOUND = 0.98  # of it, sideways: OSQP stops short of a bound
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
