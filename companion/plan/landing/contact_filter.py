@@ -13,18 +13,18 @@ from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.inputs import LONGEST_CYCLE_S
 from companion.plan.landing.contact import FRESH_S, KNOWN_S, RESPONDS_S, WITHIN_HAND_M, echo_height_m
+from companion.plan.landing.levelling import SLOWEST_SINK
 
 # In the air the sink comes back to the one asked for within this (the vertical loop); how gusts scatter it is
 # learnt over `_LEARNS_S`, and taken for no less than 0.05 m/s in a thirtieth of a second. On springing legs
 # it scatters by 0.04 m/s in as long. Both by time: shorter cycles are no more evidence.
-_SINK_TAU_S: Final = 0.25
+SINK_TAU_S: Final = 0.25
 _GUSTS_M2_S3: Final = 0.075
 _RESTS_M2_S3: Final = 0.048
 _LEARNS_S: Final = 1.0
-# Standing: the sink after the blow, no more than this share of the one asked for; how fast what the legs give
-# dies out; how long it stands where gusts and a deck lift it again.
+# Standing: the sink after the blow; how fast what the legs give dies out; how long it stands where gusts and
+# a deck lift it again.
 _HIT_M_S: Final = 0.1
-_STOPPED: Final = 0.5
 _LEGS_TAU_S: Final = 0.03
 _STANDS_FOR_S: Final = 10.0
 # One sink in a hundred is anything: an estimate jumps.
@@ -190,7 +190,7 @@ class ContactFilter:
 
     def _compare(self, feet: FeetMotion, before_m_s: float, sink_m_s: float, elapsed_s: float) -> None:
         """Bayes' rule over what was felt: both modes' expectations against the sink that is felt."""
-        expected_m_s = feet.asked_m_s + (before_m_s - feet.asked_m_s) * math.exp(-elapsed_s / _SINK_TAU_S)
+        expected_m_s = feet.asked_m_s + (before_m_s - feet.asked_m_s) * math.exp(-elapsed_s / SINK_TAU_S)
         surprise_m_s, noise = sink_m_s - expected_m_s, feet.sink_std_m_s**2
         left_m_s = before_m_s * math.exp(-elapsed_s / _LEGS_TAU_S)
         flies = _likelihood(surprise_m_s, max(self._scatter_m2_s3, _GUSTS_M2_S3) * elapsed_s + noise)
@@ -199,7 +199,7 @@ class ContactFilter:
         stood, flew = self.probability, 1.0 - self.probability
         way_m = max(feet.asked_m_s, before_m_s, 0.0) * elapsed_s
         # a height alone shows no contact, however little is known of the sink: it has to stop
-        stops = sink_m_s <= max(0.0, min(before_m_s, _STOPPED * feet.asked_m_s))
+        stops = sink_m_s <= max(0.0, min(before_m_s, SLOWEST_SINK * feet.asked_m_s))
         meets = -math.expm1(-self._hazard_m(feet) * way_m) if stops else 0.0
         leaves = elapsed_s / _STANDS_FOR_S
         stands = stood * (1.0 - leaves) * rests + flew * meets * hits

@@ -29,7 +29,8 @@ AFTER_S: Final = 0.11
 # Beside the leg height's own: the pose, and a sink that wind and ground effect change by 0.05 m/s in 0.3 s
 # of levelling off (a standard deviation).
 CONTACT_STD_M: Final = 0.015
-# Near the pad the ground effect slows the sink; below this share of the planned sink only for moments.
+# Near the pad the ground effect slows the sink; below this share of the planned sink only for moments: what
+# sinks no faster may have met it.
 SLOWEST_SINK: Final = 0.5
 # So long before the contact the controller knows of it; until it goes level the tilt is bounded by what has
 # been needed, and so much.

@@ -48,7 +48,7 @@ from companion.plan.landing.contact import (
     echo_height_m,
     imu_fresh,
 )
-from companion.plan.landing.contact_filter import ContactFilter, feet_motion, lowest_foot_m
+from companion.plan.landing.contact_filter import SINK_TAU_S, ContactFilter, feet_motion, lowest_foot_m
 from companion.plan.landing.levelling import Levelling, TiltPrediction, level_at
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
@@ -58,8 +58,6 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 # Time constant with which the reference's height follows the vehicle's.
 _GIVE_WAY_S = 0.3
 _HELD_UP = 1.0 / 3.0  # of the sink asked for: it goes on down without a vehicle that sinks less
-# Levelling off it comes to the firmer sink within this.
-_FIRMER_S = 0.25
 _WRONG_S = 0.1  # it breaks off for what has been wrong for so long
 _FASTER_M_S = 0.16  # a planned sink may be exceeded by this, one that nothing feels too
 # It breaks off at this share of the tilt tolerated at the commit; it commits to this share of the tilt that
@@ -300,7 +298,7 @@ class TouchdownSequence:
         firm_m_s = self._levelling.sink_m_s(self.tilt.predicted_acceleration_m_s2(0.0))
         if firm_m_s > self._levelling.planned_m_s:
             self._levelling.planned_m_s = firm_m_s
-            self._generator.sink(firm_m_s, max(_FIRMER_S, self._generator.end_s - now_s), now_s)
+            self._generator.sink(firm_m_s, max(SINK_TAU_S, self._generator.end_s - now_s), now_s)
 
     def _escapes(self, sight: PadState) -> bool:
         """Whether it is so far aside that it would miss the pad."""
