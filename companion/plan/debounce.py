@@ -1,4 +1,6 @@
-"""Debouncing: a condition becomes true only after it has held without interruption for a given time."""
+"""Times between cycles: how long a condition has held without interruption, and how long a step lasts."""
+
+import math
 
 
 class Debounce:
@@ -18,3 +20,15 @@ class Debounce:
         """These conditions do not hold; without names, none does."""
         for name in names or tuple(self._since_s):
             self._since_s.pop(name, None)
+
+
+class StepClock:
+    """How long the step lasts that ends with a call."""
+
+    def __init__(self) -> None:
+        self._before_s = -math.inf
+
+    def step_s(self, now_s: float) -> float:
+        """Time (s) since the call before this, never negative; inf at the first: nothing of before counts."""
+        elapsed_s, self._before_s = max(0.0, now_s - self._before_s), now_s
+        return elapsed_s

@@ -11,6 +11,7 @@ from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import PadState, RangeSample, VehicleState
 from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig, VehicleConfig
+from companion.plan.debounce import StepClock
 from companion.plan.inputs import LONGEST_CYCLE_S
 from companion.plan.landing.contact import FRESH_S, KNOWN_S, RESPONDS_S, WITHIN_HAND_M, echo_height_m
 from companion.plan.landing.levelling import SLOWEST_SINK
@@ -136,14 +137,14 @@ class ContactFilter:
         self._config, self._leg_std_m = config, leg_std_m
         self._scatter_m2_s3 = 0.0  # of the sink about the expected one, in the air
         self._sink_m_s: float | None = None
-        self._felt_s = self._updated_s = -math.inf
+        self._felt_s, self._clock = -math.inf, StepClock()
         self._share = self._bears_s = 0.0  # of the weight; how long the feet have had all they may
         self._most, self._low = 1.0, False
         self.probability = 0.0
 
     def update(self, feet: FeetMotion, now_s: float, *, landed: bool = False) -> None:
         """Take in a cycle's motion of the feet; `landed`: the autopilot says that it stands."""
-        elapsed_s, self._updated_s = min(LONGEST_CYCLE_S, now_s - self._updated_s), now_s
+        elapsed_s = min(LONGEST_CYCLE_S, self._clock.step_s(now_s))
         felt_for_s = 0.0
         if feet.sink_m_s is not None and feet.felt_s > self._felt_s:
             felt_for_s = min(LONGEST_CYCLE_S, feet.felt_s - self._felt_s)

@@ -21,6 +21,7 @@ from typing import Final
 from companion.base.geometry import GRAVITY_M_S2, Quaternion, horizontal_acceleration, tilt_from_quat
 from companion.base.messages import LevelOff, PadState
 from companion.config import TouchdownConfig, VehicleConfig
+from companion.plan.debounce import StepClock
 from companion.plan.landing.contact import RESPONDS_S, UNSEEN_S
 
 LEVELS_M_S3: Final = 8.0  # how fast the tilt falls, `RESPONDS_S` after the decision to level off
@@ -74,17 +75,14 @@ class TiltPrediction:
         # complex: north + i east
         self._lasting_m_s2 = 0j
         self._sight: PadState | None = None
-        self._noted_s: float | None = None
+        self._clock = StepClock()
 
     def note(self, attitude: Quaternion, sight: PadState | None, now_s: float) -> None:
         """Take in the vehicle's attitude; an unseen pad goes on as it did."""
         self._sight = sight or self._sight
         self.tilt_rad = tilt_from_quat(attitude)
         lasting = complex(*horizontal_acceleration(attitude)) - self._with_pad_m_s2
-        first = self._noted_s is None
-        elapsed_s = 0.0 if self._noted_s is None else max(0.0, now_s - self._noted_s)
-        share = 1.0 if first else -math.expm1(-elapsed_s / self.SMOOTHING_S)
-        self._noted_s = now_s
+        share = -math.expm1(-self._clock.step_s(now_s) / self.SMOOTHING_S)
         self._lasting_m_s2 += share * (lasting - self._lasting_m_s2)
 
     @property

@@ -34,7 +34,7 @@ import math
 from companion.base.messages import LandedState, LevelOff, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.config import LandingConfig, TouchdownConfig
-from companion.plan.debounce import Debounce
+from companion.plan.debounce import Debounce, StepClock
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import LONGEST_CYCLE_S, PlanInputs
 from companion.plan.landing.contact import (
@@ -93,7 +93,7 @@ class TouchdownSequence:
         self._wait_height_m = vehicle.leg_height_m + landing.wait_height_m
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._standing = LandDetector(config, vehicle, now_s)
-        self._gave_way_s = self._contact_due_s = now_s
+        self._gives_way, self._contact_due_s = StepClock(), now_s
         self._tolerance = Tolerance(config, now_s, tolerance_scale)
         self._held = Debounce()
         self.contact = ContactFilter(config, self._leg_std_m)
@@ -184,7 +184,8 @@ class TouchdownSequence:
     def commit(self, now_s: float) -> None:
         """Begin to sink."""
         c = self._config
-        self._gave_way_s, self._lowest_m = now_s, math.inf
+        self._gives_way.step_s(now_s)
+        self._lowest_m = math.inf
         self.contact = ContactFilter(c, self._leg_std_m)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
@@ -334,8 +335,7 @@ class TouchdownSequence:
 
     def _give_way(self, sight: PadState | None, now_s: float) -> None:
         """Let the reference's height follow the vehicle's; not near the pad, where the vehicle may stand."""
-        share = min(LONGEST_CYCLE_S, now_s - self._gave_way_s) / _GIVE_WAY_S
-        self._gave_way_s = now_s
+        share = min(LONGEST_CYCLE_S, self._gives_way.step_s(now_s)) / _GIVE_WAY_S
         if sight is not None and sight.unseen_s <= UNSEEN_S:
             self._generator.shift_down(share * (-sight.height_m - self._generator.at(now_s).position_m[2]))
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from companion.base.geometry import Vector3
 from companion.base.messages import Conditions, PadState, VehicleState
-from companion.plan.inputs import LONGEST_CYCLE_S
+from companion.plan.debounce import StepClock
 
 # A gust lasts for seconds; over this time the wind's force is averaged, and its spread about that.
 GUST_OVER_S: Final = 2.0
@@ -32,19 +32,15 @@ class ConditionMonitor:
         # complex: north + i east
         self._force_m_s2, self._gust_squared = 0j, 0.0
         self._relative_m_s, self._sight_rad = 0.0, math.inf
-        self._noted_s: float | None = None
+        self._clock = StepClock()
 
     def update(
         self, sight: PadState | None, vehicle: VehicleState | None, planned_m_s: Vector3 | None, now_s: float
     ) -> None:
         """Note the pad and the vehicle, and the velocity over the pad that is planned, if one is."""
-        first = self._noted_s is None
-        elapsed_s = 0.0 if self._noted_s is None else min(LONGEST_CYCLE_S, max(0.0, now_s - self._noted_s))
-        self._noted_s = now_s
+        elapsed_s = self._clock.step_s(now_s)
         if vehicle is not None:
-            self._feel(
-                complex(*vehicle.side_force_ned_m_s2[:2]), 1.0 if first else _share(elapsed_s, GUST_OVER_S)
-            )
+            self._feel(complex(*vehicle.side_force_ned_m_s2[:2]), _share(elapsed_s, GUST_OVER_S))
         if sight is None:
             return
         distance_m = math.hypot(*sight.relative_position_ned_m)
