@@ -55,11 +55,6 @@ def echo_height_m(echo: RangeSample | None, vehicle: VehicleConfig, now_s: float
     return echo.distance_m + vehicle.range_position_body_m[2]
 
 
-def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> bool:
-    """Whether a fresh echo came from no farther than that."""
-    return echo is not None and now_s - echo.time_s <= FRESH_S and echo.distance_m <= distance_m
-
-
 def imu_fresh(vehicle: VehicleState | None, now_s: float) -> bool:
     """Whether our IMU is heard."""
     return vehicle is not None and now_s - vehicle.sensed_time_s <= FRESH_S
@@ -161,7 +156,8 @@ class LandDetector:
     def _shown_down(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> bool:
         """Whether a fresh sight or echo shows the feet on the pad now."""
         seen = sight is not None and sight.unseen_s <= UNSEEN_S and sight.height_m <= self._feet_m
-        return seen or _echo_within(echo, self._feet_m - self._vehicle.range_position_body_m[2], now_s)
+        echo_m = echo_height_m(echo, self._vehicle, now_s)
+        return seen or (echo_m is not None and echo_m <= self._feet_m)
 
     def _rested_s(self, vehicle: VehicleState | None, now_s: float, *, down: bool) -> float:
         """How long (s) it has stood without a break, pressed down; negative when it does not, or may not.
