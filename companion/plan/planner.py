@@ -168,6 +168,7 @@ class Planner:
         self._react(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it
         left_pad = pressed and not self._steering.presses_down
+        contact = self._steering.contact
         self.withdraws = left_pad or (self._machine.state in WITHDRAWS and self.phase is not before)
         return PlanStep(
             time_s=now_s,
@@ -178,8 +179,8 @@ class Planner:
             speed_m_s=self._generator.speed_m_s,
             time_to_go_s=self._generator.time_to_go_s,
             on_ground=self._steering.presses_down or (self._monitor.lies and self._generator.active),
-            unloading=self._steering.unloading,
-            contact_probability=self._steering.contact_probability,
+            unloading=0.0 if contact is None else contact.unloading,
+            contact_probability=0.0 if contact is None else contact.probability,
             feet_near=self._steering.feet_near(inputs.range, now_s),
             conditions=conditions if self.phase in PACED else None,
         )

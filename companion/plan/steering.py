@@ -29,6 +29,7 @@ from companion.plan.events import NOTICE_THRESHOLD_M, Announcements, DetectedEve
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.approach_descent import Landing
 from companion.plan.landing.contact import AWAY_M, KNOWN_S, WITHIN_HAND_M, echo_height_m
+from companion.plan.landing.contact_filter import ContactFilter
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
@@ -162,14 +163,9 @@ class PhaseSteering:
         return self._machine.state in ON_PAD and not self.touchdown.unconfirmed(self._pad.sight)
 
     @property
-    def unloading(self) -> float:
-        """The share of the thrust (0 to 1) that is taken away, for the feet to carry."""
-        return self.touchdown.contact.unloading if self._machine.state in GOING_DOWN else 0.0
-
-    @property
-    def contact_probability(self) -> float:
-        """That the feet stand on the pad, on the way down to it."""
-        return self.touchdown.contact.probability if self._machine.state in GOING_DOWN else 0.0
+    def contact(self) -> ContactFilter | None:
+        """Whether the feet stand, on the way down."""
+        return self.touchdown.contact if self._machine.state in GOING_DOWN else None
 
     def feet_near(self, echo: RangeSample | None, now_s: float) -> bool:
         """Whether the feet may stand on something, by sight or echo; legs may be longer than told."""
@@ -280,16 +276,14 @@ class PhaseSteering:
 
     def _enter_hold(self, previous: State, had: Authority, inputs: PlanInputs, now_s: float) -> None:
         """Come to rest by our own setpoints, where they fly the vehicle."""
+        self._hold.end()
         flown = had is Authority.OURS or (had is Authority.RELEASED and self._generator.active)
         if not flown or not inputs.autopilot.armed or inputs.vehicle is None:
             self._generator.stop()
-            self._hold.end()
             return
         low = self._machine.phase is Phase.HOLD and previous in BY_THE_PAD - {State.APPROACH}
-        if low and self.touchdown.leaving(now_s):
-            self._hold.end()  # it leaves the pad first, level; `_stay` begins it
-            return
-        self._hold.begin(inputs.vehicle, now_s, over_pad=low)
+        if not (low and self.touchdown.leaving(now_s)):  # it leaves the pad first, level; `_stay` begins it
+            self._hold.begin(inputs.vehicle, now_s, over_pad=low)
 
     # ------------------------------------------------------------ the phases
 
