@@ -27,6 +27,7 @@ _SEMIMAJOR_M: Final = 6378137.0  # WGS-84
 _SEMIMINOR_M: Final = 6356752.31424518
 _FOCAL2_M2: Final = _SEMIMAJOR_M**2 - _SEMIMINOR_M**2
 ZERO3: Final[Vector3] = (0.0, 0.0, 0.0)
+DOWN: Final[Vector3] = (0.0, 0.0, 1.0)
 EYE3: Final[FloatArray] = np.eye(3)
 EYE3.flags.writeable = False  # it is everybody's
 
@@ -307,7 +308,7 @@ def _tangent_plane(origin: Vector3) -> tuple[Vector3, tuple[float, float], tuple
 
 def horizontal_acceleration(attitude: Quaternion) -> tuple[float, float]:
     """Horizontal acceleration (m/s2, north and east) that this attitude gives while height is held."""
-    down = quat_rotate(attitude, (0.0, 0.0, 1.0))
+    down = quat_rotate(attitude, DOWN)
     pull = GRAVITY_M_S2 / max(down[2], MINIMUM_DOWN_COMPONENT)
     return (-down[0] * pull, -down[1] * pull)
 
@@ -321,7 +322,7 @@ def side_force(attitude: Quaternion, specific_force_body_m_s2: Vector3) -> Vecto
     """
     x, y, _ = specific_force_body_m_s2
     north, east, down = quat_rotate(attitude, (x, y, 0.0))
-    axis = quat_rotate(attitude, (0.0, 0.0, 1.0))
+    axis = quat_rotate(attitude, DOWN)
     if axis[2] < MINIMUM_DOWN_COMPONENT:
         return ZERO3
     return (north - down * axis[0] / axis[2], east - down * axis[1] / axis[2], 0.0)

@@ -15,6 +15,7 @@ import math
 from typing import Final
 
 from companion.base.geometry import (
+    DOWN,
     FloatArray,
     Quaternion,
     cross,
@@ -24,7 +25,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import AutopilotAttitude, Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
-from companion.estimate.vehicle.attitude_reset import DOWN, ReportQueue, heading_between
+from companion.estimate.vehicle.attitude_reset import ReportQueue, heading_between
 from companion.estimate.vehicle.ekf_inputs import OTHER_COMPASS_STD_RAD, OTHER_HORIZON_STD_RAD
 
 TIME_CONSTANT_S: Final = 0.5

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
+    DOWN,
     FloatArray,
     Quaternion,
     Vector3,
@@ -365,7 +366,7 @@ class StateEstimator:
         attitude = self._motion.attitude(at_s)
         if attitude is None:
             return None
-        down = quat_rotate_inverse(attitude, (0.0, 0.0, 1.0))
+        down = quat_rotate_inverse(attitude, DOWN)
         estimate = self._pad_at(at_s)
         rate = self._motion.rate_body_rad_s(at_s, READOUT_S)
         if estimate is None:

@@ -43,6 +43,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
+    DOWN,
     EYE3,
     GRAVITY_M_S2,
     FloatArray,
@@ -117,7 +118,7 @@ class CameraCheck:
         self._x = np.zeros(_STATES)
         camera = [MOUNT_STD_RAD**2] * 3 + [FOCAL_STD**2]
         self._P = np.diag([0.0] * 10 + [delay_std_s**2] + [0.0] * 3 + camera)
-        self._down_body: Vector3 = (0.0, 0.0, 1.0)  # at the last sighting
+        self._down_body: Vector3 = DOWN  # at the last sighting
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -172,7 +173,7 @@ class CameraCheck:
         if attitude is None or time_s <= self._time_s:
             return
         seen = quat_rotate(attitude, pad_position_body_m)
-        self._down_body = quat_rotate_inverse(attitude, (0.0, 0.0, 1.0))
+        self._down_body = quat_rotate_inverse(attitude, DOWN)
         attitude_rad2 = NOISE_RAD**2 + self._motion.turn_density_rad2_s * ATTITUDE_WANDERS_S
         noise_m2 = variance_m2 + NOISE_M**2 + attitude_rad2 * norm(seen) ** 2
         if time_s - self._time_s > LONGEST_GAP_S:

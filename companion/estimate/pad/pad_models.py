@@ -53,7 +53,7 @@ REST_ACCELERATION_STD_M_S2: Final = 0.05  # vertically, of a pad that rides no w
 HEADING_IS_COURSE_RAD_S: Final = 0.1
 STRAIGHT_ON_RAD_S: Final = 0.5
 HORIZONTAL: Final = ("steady", "manoeuvre", "turn", "sway")
-TURN: Final = 2
+TURN: Final = HORIZONTAL.index("turn")
 # with poles of some 1/s, ten terms at a tenth of a second leave 1e-12
 SHORT_S: Final = 0.1
 TERMS: Final = 10

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from companion.base.geometry import (
+    DOWN,
     Quaternion,
     dot,
     quat_conjugate,
@@ -37,7 +38,6 @@ MISTIMED_S: Final = 0.03  # their reports and our samples: a turn makes that muc
 PERSISTS_S: Final = 0.2
 LEARNING_S: Final = 5.0
 REPORTS_KEPT: Final = 50
-DOWN: Final = (0.0, 0.0, 1.0)
 
 
 class Correction(NamedTuple):

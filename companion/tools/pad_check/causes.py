@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
+    DOWN,
     FloatArray,
     Quaternion,
     Vector3,
@@ -36,7 +37,6 @@ FITTING: Final = 0.8  # mean cosine between what a mounting would show and what 
 SAME_SCALE: Final = 0.08
 LEAST_CLIMB_M: Final = 0.1
 UNDECIDED: Final = 0.05  # between how far camera and ultrasonic are from the IMU's way, as shares
-DOWN: Final[Vector3] = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

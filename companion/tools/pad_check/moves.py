@@ -24,6 +24,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from companion.base.geometry import (
+    DOWN,
     GRAVITY_M_S2,
     IDENTITY,
     ZERO3,
@@ -206,8 +207,6 @@ def _spread(values: FloatArray) -> float:
 
 
 # ---------------------------------------------------------------- from one rest to the next
-
-DOWN: Vector3 = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
