@@ -207,7 +207,7 @@ def _edges() -> dict[tuple[str, str], list[str]]:
                 target = source if branch.to is None else branch.to.value
                 label = _words(row.event)
                 if branch.guard in {Guard.TRIES_LEFT, Guard.CONTROL_OURS}:
-                    label += f" ({branch.guard.value})"
+                    label += f" ({branch.guard.words})"
                 listed = edges.setdefault((source, target), [])
                 if label not in listed:
                     listed.append(label)
@@ -248,7 +248,7 @@ def _cells(branch: Branch) -> Iterator[str]:
 
 def _condition(branches: Sequence[Branch], branch: Branch) -> str:
     if branch.guard is not Guard.ALWAYS:
-        return branch.guard.value
+        return branch.guard.words
     return "else" if len(branches) > 1 else ""
 
 

@@ -4,9 +4,9 @@ A state is a phase of the mission or one of its sub-phases: the touchdown has si
 no I/O.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import Enum, StrEnum
 from typing import Final
 
 from companion.base.messages import Action, Phase
@@ -62,40 +62,6 @@ class Authority(StrEnum):
     RELEASED = "released"  # returned to the autopilot or taken by a pilot, for good
 
 
-class Guard(StrEnum):
-    """What else has to hold for a branch to be taken."""
-
-    ALWAYS = "always"
-    NOT_TAKEN = "it flew by its pilot when ordered, and control was never ours"
-    CONTROL_NONE = "control not granted yet"
-    CONTROL_OURS = "control is ours"
-    STILL_FLIES = "it flies, and control not granted yet"  # by the autopilot's word
-    ON_SURFACE = "it stands"  # on the pad by our signs, on the ground by the autopilot's
-    TRIES_LEFT = "tries left"
-    DISARM_NOT_ASKED = "no disarm asked yet"
-    LAND_GRANTED = "the autopilot is in LAND"
-    LEFT_IN_OFFBOARD = "control was ours, and PX4 is in OFFBOARD still"
-    UNHEARD = "the autopilot has not been heard for long"
-    MAY_FINISH = "the settings let a descent finish"
-    ENDS_INSIDE = "the pad is inside the fence until the landing ends"
-    FEET_DOWN = "echoes show the feet down"
-    NOT_STANDING = "it does not stand upright on the pad"
-    NEAR = "lower than a metre over the ground or the pad"
-
-
-class Effect(StrEnum):
-    """What a branch does besides actions to the autopilot."""
-
-    COUNT_TRY = "count the try"
-    ASK_PAD_POSITION = "ask the ground station for the pad's position"
-    STOP_SETPOINTS = "stop setpoints"
-    ASK_AFRESH = "forget what was answered, count the phase's time again"
-    COUNT_AFRESH = "count the phase's time again"
-    ASK_NOTHING = "drop what is asked, stop setpoints"
-    SEARCH_FROM_HERE = "search from here"
-    NO_NEW_TRY = "begin no new try"
-
-
 @dataclass(frozen=True, slots=True)
 class Circumstances:
     """What guards are judged by."""
@@ -114,26 +80,51 @@ class Circumstances:
     standing: bool = True
     near: bool = False
 
-    def allow(self, guard: Guard) -> bool:
-        """Whether a guard holds."""
-        return {
-            Guard.ALWAYS: True,
-            Guard.NOT_TAKEN: self.authority is Authority.PILOT,
-            Guard.CONTROL_NONE: self.authority is Authority.NONE,
-            Guard.CONTROL_OURS: self.authority is Authority.OURS,
-            Guard.STILL_FLIES: self.airborne and self.authority is Authority.NONE,
-            Guard.ON_SURFACE: self.on_surface,
-            Guard.TRIES_LEFT: self.tries_left,
-            Guard.DISARM_NOT_ASKED: not self.disarm_asked,
-            Guard.LAND_GRANTED: self.land_granted,
-            Guard.LEFT_IN_OFFBOARD: self.in_offboard and self.authority is Authority.OURS,
-            Guard.UNHEARD: not self.heard,
-            Guard.MAY_FINISH: self.may_finish,
-            Guard.ENDS_INSIDE: self.ends_inside,
-            Guard.FEET_DOWN: self.feet_down,
-            Guard.NOT_STANDING: not self.standing,
-            Guard.NEAR: self.near,
-        }[guard]
+
+class Guard(Enum):
+    """What else has to hold for a branch to be taken: in words, and by the circumstances."""
+
+    ALWAYS = "always", lambda _: True
+    NOT_TAKEN = (
+        "it flew by its pilot when ordered, and control was never ours",
+        lambda c: c.authority is Authority.PILOT,
+    )
+    CONTROL_NONE = "control not granted yet", lambda c: c.authority is Authority.NONE
+    CONTROL_OURS = "control is ours", lambda c: c.authority is Authority.OURS
+    STILL_FLIES = (  # by the autopilot's word
+        "it flies, and control not granted yet",
+        lambda c: c.airborne and c.authority is Authority.NONE,
+    )
+    ON_SURFACE = "it stands", lambda c: c.on_surface  # on the pad by our signs, on the ground by its word
+    TRIES_LEFT = "tries left", lambda c: c.tries_left
+    DISARM_NOT_ASKED = "no disarm asked yet", lambda c: not c.disarm_asked
+    LAND_GRANTED = "the autopilot is in LAND", lambda c: c.land_granted
+    LEFT_IN_OFFBOARD = (
+        "control was ours, and PX4 is in OFFBOARD still",
+        lambda c: c.in_offboard and c.authority is Authority.OURS,
+    )
+    UNHEARD = "the autopilot has not been heard for long", lambda c: not c.heard
+    MAY_FINISH = "the settings let a descent finish", lambda c: c.may_finish
+    ENDS_INSIDE = "the pad is inside the fence until the landing ends", lambda c: c.ends_inside
+    FEET_DOWN = "echoes show the feet down", lambda c: c.feet_down
+    NOT_STANDING = "it does not stand upright on the pad", lambda c: not c.standing
+    NEAR = "lower than a metre over the ground or the pad", lambda c: c.near
+
+    def __init__(self, words: str, holds: Callable[[Circumstances], bool]) -> None:
+        self.words, self.holds = words, holds
+
+
+class Effect(StrEnum):
+    """What a branch does besides actions to the autopilot."""
+
+    COUNT_TRY = "count the try"
+    ASK_PAD_POSITION = "ask the ground station for the pad's position"
+    STOP_SETPOINTS = "stop setpoints"
+    ASK_AFRESH = "forget what was answered, count the phase's time again"
+    COUNT_AFRESH = "count the phase's time again"
+    ASK_NOTHING = "drop what is asked, stop setpoints"
+    SEARCH_FROM_HERE = "search from here"
+    NO_NEW_TRY = "begin no new try"
 
 
 @dataclass(frozen=True, slots=True)

@@ -365,7 +365,7 @@ def by_severity(events: Iterable[DetectedEvent]) -> tuple[DetectedEvent, ...]:
 def follows(state: State, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
     """What follows an event; None: it means nothing. Released it stays, and nothing is asked any more."""
     branches = TABLE[state, event]
-    branch = next((b for b in branches if circumstances.allow(b.guard)), None)
+    branch = next((b for b in branches if b.guard.holds(circumstances)), None)
     if branch is not None and circumstances.authority is Authority.RELEASED:
         return replace(branch, actions=(), authority=None)
     return branch
