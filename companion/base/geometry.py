@@ -65,7 +65,8 @@ def norm(a: Vector3) -> float:
 
 def between(a: Vector3, b: Vector3, share: float) -> Vector3:
     """Straight between two vectors: a at 0, b at 1."""
-    return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
+    (x, y, z), (u, v, w) = a, b
+    return (x + share * (u - x), y + share * (v - y), z + share * (w - z))
 
 
 def vector3(values: FloatArray | list[float] | tuple[float, ...]) -> Vector3:
@@ -74,8 +75,11 @@ def vector3(values: FloatArray | list[float] | tuple[float, ...]) -> Vector3:
     Raises:
         ValueError: the sequence does not hold exactly three values.
     """
-    # an array's elements one by one are objects of numpy's, ten times as slow as its list
-    x, y, z = values.tolist() if isinstance(values, np.ndarray) else values
+    if isinstance(values, np.ndarray):
+        # an array's elements one by one are objects of numpy's, ten times as slow as its list
+        x, y, z = values.tolist()
+        return (x, y, z)
+    x, y, z = values
     return (float(x), float(y), float(z))
 
 
@@ -130,7 +134,21 @@ def quat_rotate(q: Quaternion, v: Vector3) -> Vector3:
 
 def quat_rotate_inverse(q: Quaternion, v: Vector3) -> Vector3:
     """Turn v by the inverse of q: NED to body for an attitude quaternion."""
-    return quat_rotate((q[0], -q[1], -q[2], -q[3]), v)
+    w, x, y, z = q
+    return quat_rotate((w, -x, -y, -z), v)
+
+
+def down_axis(q: Quaternion) -> Vector3:
+    """`quat_rotate` of the down axis: the body's in NED for an attitude quaternion."""
+    w, x, y, z = q
+    a, b = 2.0 * x, 2.0 * y
+    return (w * b + z * a, z * b - w * a, 1.0 - x * a - y * b)
+
+
+def down_in_body(q: Quaternion) -> Vector3:
+    """`quat_rotate_inverse` of the down axis: NED's in the body for an attitude quaternion."""
+    w, x, y, z = q
+    return down_axis((w, -x, -y, -z))
 
 
 def quat_from_rotation_vector(rotation: Vector3) -> Quaternion:
@@ -308,9 +326,9 @@ def _tangent_plane(origin: Vector3) -> tuple[Vector3, tuple[float, float], tuple
 
 def horizontal_acceleration(attitude: Quaternion) -> tuple[float, float]:
     """Horizontal acceleration (m/s2, north and east) that this attitude gives while height is held."""
-    down = quat_rotate(attitude, DOWN)
-    pull = GRAVITY_M_S2 / max(down[2], MINIMUM_DOWN_COMPONENT)
-    return (-down[0] * pull, -down[1] * pull)
+    north, east, down = down_axis(attitude)
+    pull = GRAVITY_M_S2 / max(down, MINIMUM_DOWN_COMPONENT)
+    return (-north * pull, -east * pull)
 
 
 def side_force(attitude: Quaternion, specific_force_body_m_s2: Vector3) -> Vector3:
@@ -320,9 +338,9 @@ def side_force(attitude: Quaternion, specific_force_body_m_s2: Vector3) -> Vecto
     accelerometer feels across body up counts, so that a thrust, of whatever instant, cancels. Upside down or
     on its side the vehicle has none.
     """
+    axis_n, axis_e, axis_d = down_axis(attitude)
+    if axis_d < MINIMUM_DOWN_COMPONENT:
+        return ZERO3
     x, y, _ = specific_force_body_m_s2
     north, east, down = quat_rotate(attitude, (x, y, 0.0))
-    axis = quat_rotate(attitude, DOWN)
-    if axis[2] < MINIMUM_DOWN_COMPONENT:
-        return ZERO3
-    return (north - down * axis[0] / axis[2], east - down * axis[1] / axis[2], 0.0)
+    return (north - down * axis_n / axis_d, east - down * axis_e / axis_d, 0.0)

@@ -15,13 +15,12 @@ import math
 from typing import Final
 
 from companion.base.geometry import (
-    DOWN,
     FloatArray,
     Quaternion,
     cross,
     dot,
+    down_in_body,
     euler_from_quat,
-    quat_rotate_inverse,
 )
 from companion.base.messages import AutopilotAttitude, Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
@@ -106,7 +105,7 @@ class AttitudeCheck:
     def _compare(self, time_s: float, ours: Quaternion, theirs: Quaternion) -> None:
         if time_s - self._last_s > FORGET_S:
             self._since_s, self._reports = time_s, 0
-        ours_down, theirs_down = quat_rotate_inverse(ours, DOWN), quat_rotate_inverse(theirs, DOWN)
+        ours_down, theirs_down = down_in_body(ours), down_in_body(theirs)
         x, y, _ = cross(theirs_down, ours_down)
         sine = math.hypot(x, y)
         angle = math.atan2(sine, dot(theirs_down, ours_down)) / sine if sine > 1e-9 else 1.0

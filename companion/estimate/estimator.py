@@ -15,11 +15,12 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
-    DOWN,
     FloatArray,
     Quaternion,
     Vector3,
     add,
+    down_axis,
+    down_in_body,
     norm,
     quat_conjugate,
     quat_from_euler,
@@ -93,7 +94,7 @@ class StateEstimator:
         self._vehicle.origin, self._vehicle.corrections = origin, corrections
         self._no_pad()
         delay_std_s = config.pad.camera_delay_std_s
-        axis = quat_rotate(quat_from_euler(*airframe.camera_turn_rad), (0.0, 0.0, 1.0))
+        axis = down_axis(quat_from_euler(*airframe.camera_turn_rad))
         self._camera_check = CameraCheck(self._motion, delay_std_s, self._board_half_width_m, axis)
         self._mount_check = MountCheck(self._motion, airframe.camera_position_body_m, airframe.camera_yaw_deg)
         self._attitude_check = AttitudeCheck(self._motion)
@@ -366,7 +367,7 @@ class StateEstimator:
         attitude = self._motion.attitude(at_s)
         if attitude is None:
             return None
-        down = quat_rotate_inverse(attitude, DOWN)
+        down = down_in_body(attitude)
         estimate = self._pad_at(at_s)
         rate = self._motion.rate_body_rad_s(at_s, READOUT_S)
         if estimate is None:
@@ -387,12 +388,13 @@ class StateEstimator:
     def refused(self) -> dict[str, int]:
         """Measurements not used so far, by kind: not finite or of a wrong time; innovation test failed."""
         counts = {f"{kind}_unusable": count for kind, count in self.tally.unusable.items()}
-        return counts | {f"{kind}_gate": count for kind, count in self._gates.items()}
+        kinds = (*self._pad.gates, *self._vehicle.gates)
+        return counts | {f"{kind}_gate": self._refused_by(kind) for kind in kinds}
 
-    @property
-    def _gates(self) -> dict[str, int]:
-        """How many measurements of each kind have failed their innovation test."""
-        return {kind: gate.refused for kind, gate in self._pad.gates.items()} | self._vehicle.gates
+    def _refused_by(self, test: str) -> int:
+        """How many measurements have failed this innovation test."""
+        gate = self._pad.gates.get(test)
+        return self._vehicle.refused_by(test) if gate is None else gate.refused
 
     # ------------------------------------------------------------ the pad
 
@@ -420,7 +422,7 @@ class StateEstimator:
             why_not = ""
         elif not why_not:
             why_not = "older than what is remembered" if self._vehicle.aligned else "before the alignment"
-        self.tally.note(kind, why_not, lambda gate: self._gates.get(gate, 0))
+        self.tally.note(kind, why_not, self._refused_by)
         return taken
 
 

@@ -15,7 +15,7 @@ from typing import Final, Generic, NamedTuple, Protocol, TypeVar, runtime_checka
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3
+from companion.base.geometry import FloatArray, Vector3, vector3
 
 # 99.9 % points of the chi-square distribution by degrees of freedom (any statistics table)
 CHI_SQUARE_999: Final = {1: 10.828, 2: 13.816, 3: 16.266, 4: 18.467, 6: 22.458}
@@ -41,6 +41,24 @@ def passes(y: Vector3, S: tuple[float, ...]) -> bool:
     squares = p * u * u + (a * f - c * c) * v * v + (a * d - b * b) * w * w
     products = q * u * v + r * u * w + (b * c - a * e) * v * w
     return (squares + 2.0 * products) / (a * p + b * q + c * r) <= CHI_SQUARE_999[3]
+
+
+def upper_triangle(covariance: FloatArray) -> tuple[float, ...]:
+    """Of a covariance (3, 3), row by row, as `passes` takes it."""
+    (a, b, c), (_, d, e), (_, _, f) = covariance.tolist()
+    return (a, b, c, d, e, f)
+
+
+def fits(innovation: FloatArray, covariance: FloatArray) -> bool:
+    """Whether an innovation (m,) with this covariance (m, m) passes.
+
+    Raises:
+        numpy.linalg.LinAlgError: the covariance is singular.
+        ZeroDivisionError: the same, of three axes.
+    """
+    if len(innovation) == 3:
+        return passes(vector3(innovation), upper_triangle(covariance))
+    return normalised_innovation_squared(innovation, covariance) <= CHI_SQUARE_999[len(innovation)]
 
 
 class Gate(NamedTuple):

@@ -20,7 +20,6 @@ from companion.base.geometry import (
     Vector3,
     add,
     norm,
-    quat_conjugate,
     quat_from_rotation_vector,
     quat_multiply,
     quat_normalise,
@@ -44,24 +43,24 @@ class VehiclePlace(NamedTuple):
     origin: Vector3
 
 
+# attitude, integrals of acceleration (velocity and position), all corrections of the attitude up to then
+_Sample = tuple[Quaternion, Vector3, Vector3, Vector3]
+
+
 class MotionHistory:
     """Attitudes and acceleration integrals of the last `span_s` to `2 span_s`.
 
     `noise_density_m2_s3` is the density of the acceleration's noise on an axis, lately, `turn_density_rad2_s`
     that of the rate of turn's. The accelerations are the centre of mass's, as far as the IMU's place from it
-    is known: `imu_body_m` is the one that was taken, `imu_covariance_m2` (3, 3) its covariance.
+    is known: `imu_covariance_m2` (3, 3) is its covariance.
     """
 
     def __init__(self, span_s: float) -> None:
         self.noise_density_m2_s3 = self.turn_density_rad2_s = 0.0
-        self.imu_body_m: Vector3 = ZERO3
         self.imu_covariance_m2: FloatArray = LEVER_STD_M**2 * EYE3
         self._span_s = span_s
         self._times_s: list[float] = []
-        self._attitudes: list[Quaternion] = []
-        self._speeds: list[Vector3] = []
-        self._places: list[Vector3] = []
-        self._corrections: list[Vector3] = []
+        self._samples: list[_Sample] = []
         self._corrected: Vector3 = ZERO3
         self._acceleration = self._lasting = ZERO3
 
@@ -85,22 +84,21 @@ class MotionHistory:
         `lasting_ned_m_s2`, when given, is what goes on beyond the sample: one of a vehicle that vibrates says
         nothing of the next.
         """
-        if not self._times_s:
-            self._append(time_s, attitude, ZERO3, ZERO3)
-        else:
+        speed = place = ZERO3
+        if self._times_s:
             dt = time_s - self._times_s[-1]
             acts_s = dt if span_s is None else span_s
-            (vx, vy, vz), (px, py, pz) = self._speeds[-1], self._places[-1]
+            _, (vx, vy, vz), (px, py, pz), _ = self._samples[-1]
             (ax, ay, az), (bx, by, bz) = self._acceleration, acceleration_ned_m_s2
             h, k = 0.5 * acts_s, dt * acts_s / 6.0
+            speed = (vx + h * (ax + bx), vy + h * (ay + by), vz + h * (az + bz))
             place = (
                 px + vx * dt + k * (2 * ax + bx),
                 py + vy * dt + k * (2 * ay + by),
                 pz + vz * dt + k * (2 * az + bz),
             )
-            self._append(
-                time_s, attitude, (vx + h * (ax + bx), vy + h * (ay + by), vz + h * (az + bz)), place
-            )
+        self._times_s.append(time_s)
+        self._samples.append((attitude, speed, place, self._corrected))
         self._acceleration = acceleration_ned_m_s2
         self._lasting = acceleration_ned_m_s2 if lasting_ned_m_s2 is None else lasting_ned_m_s2
         if time_s - self._times_s[0] > 2.0 * self._span_s:
@@ -111,20 +109,23 @@ class MotionHistory:
 
         None before the first sample.
         """
-        if not self._times_s:
+        times_s, samples = self._times_s, self._samples
+        if not times_s:
             return None
-        place = bisect_right(self._times_s, time_s)
-        if place == 0 or place == len(self._times_s):
-            return self._attitudes[max(place - 1, 0)]
-        before, after = self._attitudes[place - 1], self._attitudes[place]
-        start_s = self._times_s[place - 1]
-        share = (time_s - start_s) / (self._times_s[place] - start_s)
-        return quat_normalise(part_way(before, after, share))
+        place = bisect_right(times_s, time_s)
+        if place == 0 or place == len(times_s):
+            return samples[max(place - 1, 0)][0]
+        start_s = times_s[place - 1]
+        share = (time_s - start_s) / (times_s[place] - start_s)
+        return quat_normalise(part_way(samples[place - 1][0], samples[place][0], share))
 
     def turn(self, from_s: float, turn: Quaternion) -> None:
         """Turn (about NED axes) the attitudes from a time on: they have proved wrong."""
         place = bisect_left(self._times_s, from_s)
-        self._attitudes[place:] = [quat_multiply(turn, attitude) for attitude in self._attitudes[place:]]
+        self._samples[place:] = [
+            (quat_multiply(turn, attitude), speed, place, corrected)
+            for attitude, speed, place, corrected in self._samples[place:]
+        ]
 
     def correct(self, turn_rad: Vector3) -> None:
         """The attitude has been corrected by a small rotation (rad, NED axes): later samples have it."""
@@ -141,9 +142,9 @@ class MotionHistory:
         if not self._times_s or time_s > self._times_s[-1]:
             return self._corrected
         if place == 0 or place == len(self._times_s):
-            return self._corrections[max(place - 1, 0)]
-        (x, y, z), (u, v, w) = self._corrections[place - 1 : place + 1]
-        start_s, end_s = self._times_s[place - 1 : place + 1]
+            return self._samples[max(place - 1, 0)][3]
+        (x, y, z), (u, v, w) = self._samples[place - 1][3], self._samples[place][3]
+        start_s, end_s = self._times_s[place - 1], self._times_s[place]
         k = (time_s - start_s) / (end_s - start_s)
         return (x + k * (u - x), y + k * (v - y), z + k * (w - z))
 
@@ -181,37 +182,31 @@ class MotionHistory:
             return speed, (x + speed[0] * dt, y + speed[1] * dt, z + speed[2] * dt)
         place = max(bisect_right(self._times_s, time_s) - 1, 0)
         dt = time_s - self._times_s[place]
-        (vx, vy, vz), (px, py, pz) = self._speeds[place], self._places[place]
+        _, (vx, vy, vz), (px, py, pz), _ = self._samples[place]
         ax, ay, az = self._lasting
         if place + 1 < len(self._times_s):
             k = 1.0 / (self._times_s[place + 1] - self._times_s[place])
-            wx, wy, wz = self._speeds[place + 1]
+            wx, wy, wz = self._samples[place + 1][1]
             ax, ay, az = (wx - vx) * k, (wy - vy) * k, (wz - vz) * k
         h = 0.5 * dt * dt
         speed = (vx + ax * dt, vy + ay * dt, vz + az * dt)
         return speed, (px + vx * dt + h * ax, py + vy * dt + h * ay, pz + vz * dt + h * az)
 
-    def _append(self, time_s: float, attitude: Quaternion, speed: Vector3, place: Vector3) -> None:
-        self._times_s.append(time_s)
-        self._attitudes.append(attitude)
-        self._speeds.append(speed)
-        self._places.append(place)
-        self._corrections.append(self._corrected)
-
     def _forget(self, before_s: float) -> None:
         old = bisect_right(self._times_s, before_s)
-        del self._times_s[:old], self._attitudes[:old], self._speeds[:old], self._places[:old]
-        del self._corrections[:old]
+        del self._times_s[:old], self._samples[:old]
 
 
 def turn_between(before: Quaternion, after: Quaternion) -> Vector3:
     """The rotation vector (rad, body) that takes one attitude to another."""
-    return rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after))
+    w, x, y, z = before
+    return rotation_vector_from_quat(quat_multiply((w, -x, -y, -z), after))
 
 
 def part_way(before: Quaternion, after: Quaternion, share: float) -> Quaternion:
     """The attitude at a share of the shortest turn between two."""
-    return quat_multiply(before, quat_from_rotation_vector(scale(turn_between(before, after), share)))
+    x, y, z = turn_between(before, after)
+    return quat_multiply(before, quat_from_rotation_vector((x * share, y * share, z * share)))
 
 
 def rotation_lever(place: Vector3) -> FloatArray:

@@ -24,9 +24,7 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     cross,
-    dot,
     norm,
-    quat_conjugate,
     quat_integrate,
     quat_multiply,
     quat_normalise,
@@ -64,13 +62,14 @@ def blend(q_gyro: Quaternion, q_reference: Quaternion, gyro_error_rate: float, d
 
 def shortest_turn(start: Vector3, end: Vector3) -> Quaternion:
     """Unit quaternion of the shortest rotation of one unit vector onto another."""
-    cosine = dot(start, end)
+    (x, y, z), (u, v, w) = start, end
+    cosine = x * u + y * v + z * w
     if cosine < -0.999999:
         # opposite: any axis at right angles will do
         other = (1.0, 0.0, 0.0) if abs(start[0]) < 0.9 else (0.0, 1.0, 0.0)
         axis = cross(start, other)
         return quat_normalise((0.0, *axis))
-    return quat_normalise((1.0 + cosine, *cross(start, end)))
+    return quat_normalise((1.0 + cosine, y * w - z * v, z * u - x * w, x * v - y * u))
 
 
 class OrientationFilter:
@@ -121,6 +120,7 @@ class OrientationFilter:
 
     def _corrected(self, q: Quaternion, turn: Quaternion, dt_s: float) -> Quaternion:
         """Draw q to what a turn (NED) makes of it; the average force is in the frame that this turns."""
+        w, x, y, z = q
         drawn = blend(q, quat_multiply(turn, q), GYRO_ERROR_RATE, dt_s)
-        self._force_ned_m_s2 = quat_rotate(quat_multiply(drawn, quat_conjugate(q)), self._force_ned_m_s2)
+        self._force_ned_m_s2 = quat_rotate(quat_multiply(drawn, (w, -x, -y, -z)), self._force_ned_m_s2)
         return drawn

@@ -50,10 +50,10 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     cross,
+    down_in_body,
     matrix_from_quat,
     norm,
     quat_rotate,
-    quat_rotate_inverse,
     scale,
     subtract,
     vector3,
@@ -173,7 +173,7 @@ class CameraCheck:
         if attitude is None or time_s <= self._time_s:
             return
         seen = quat_rotate(attitude, pad_position_body_m)
-        self._down_body = quat_rotate_inverse(attitude, DOWN)
+        self._down_body = down_in_body(attitude)
         attitude_rad2 = NOISE_RAD**2 + self._motion.turn_density_rad2_s * ATTITUDE_WANDERS_S
         noise_m2 = variance_m2 + NOISE_M**2 + attitude_rad2 * norm(seen) ** 2
         if time_s - self._time_s > LONGEST_GAP_S:

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
-    DOWN,
     EYE3,
     FloatArray,
+    down_axis,
     matrix_from_quat,
     quat_multiply,
     quat_rotate,
@@ -45,7 +45,7 @@ def in_ned(sighting: PadSighting, exposure: VehicleAtExposure) -> PadMeasurement
     slow = min(sighting.common_variance_m2, CALIBRATION_SHARE * float(np.linalg.eigvalsh(covariance)[0]))
     slow = max(slow, 0.0)
     tilt_n, tilt_e, turn = (rotation @ sighting.covariance[3:6, 3:6] @ rotation.T).diagonal().tolist()
-    north, east, _ = quat_rotate(attitude, quat_rotate(sighting.body_from_pad, DOWN))
+    north, east, _ = quat_rotate(attitude, down_axis(sighting.body_from_pad))
     return PadMeasurement(
         position_ned_m=position,
         covariance_ned_m2=covariance - slow * EYE3 + jitter * (lever @ lever.T),

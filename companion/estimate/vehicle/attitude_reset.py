@@ -17,13 +17,12 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from companion.base.geometry import (
-    DOWN,
     Quaternion,
     dot,
+    down_in_body,
     quat_conjugate,
     quat_from_euler,
     quat_multiply,
-    quat_rotate_inverse,
 )
 from companion.base.messages import AutopilotAttitude
 
@@ -131,7 +130,7 @@ class AttitudeReset:
 
 def apart(ours: Quaternion, theirs: Quaternion) -> tuple[float, float]:
     """How far the horizons are apart (rad, 0 to pi), and by how much our heading is ahead of theirs (rad)."""
-    cosine = dot(quat_rotate_inverse(ours, DOWN), quat_rotate_inverse(theirs, DOWN))
+    cosine = dot(down_in_body(ours), down_in_body(theirs))
     return math.acos(max(-1.0, min(1.0, cosine))), heading_between(ours, theirs)
 
 

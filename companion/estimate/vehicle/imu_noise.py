@@ -12,11 +12,12 @@ again has not turned in total, so only a lasting rate counts. Plain floats, body
 from __future__ import annotations
 
 import math
+import operator
 from collections import deque
 from itertools import pairwise
 from typing import Final, NamedTuple
 
-from companion.base.geometry import ZERO3, Vector3, add, dot, scale
+from companion.base.geometry import ZERO3, Vector3
 from companion.config import EkfConfig
 
 SHAKING_SHARE: Final = 0.5  # of the vibration beyond the bound: so far may the force's mean be off
@@ -31,6 +32,8 @@ GAP_STEPS: Final = 3.0  # so many times the step before
 LARGEST_ERROR_M_S2: Final = 3.0
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
 _THIRD_DIFFERENCE: Final = (1.0, -3.0, 3.0, -1.0)
+_ForceAndRate = tuple[float, float, float, float, float, float]
+_NOTHING: Final[_ForceAndRate] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 # the sum of its factors' squares, and of its neighbouring factors' products
 _SQUARES: Final = sum(a * a for a in _THIRD_DIFFERENCE)
 _PRODUCTS: Final = sum(a * b for a, b in pairwise(_THIRD_DIFFERENCE))
@@ -86,37 +89,43 @@ class VibrationMonitor:
 
 
 class SlowNoise:
-    """The density of the noise (an axis) below some 30 Hz, which a sum of samples keeps.
+    """The density of the noise (an axis) below some 30 Hz, which a sum of samples keeps, of force and rate.
 
     By means of the samples that triangles of 40 ms weigh, one every 20 ms: quick tones leave nothing in them,
-    as in the integral. Their third difference takes out the vehicle's own motion. The density is per second
-    of the samples' unit squared: m²/s³ of a force, rad²/s of a rate.
+    as in the integral. Their third difference takes out the vehicle's own motion.
     """
 
     def __init__(self) -> None:
-        self.density = 0.0
+        self.force_density_m2_s3 = self.rate_density_rad2_s = 0.0
         self.skip_gap()
 
     def skip_gap(self) -> None:
         """Samples are missing: what the vehicle did meanwhile is no noise of those around."""
-        self._begun: tuple[Vector3, float] = (ZERO3, 0.0)  # a triangle's first half and its weight
-        self._means: deque[Vector3] = deque(maxlen=len(_THIRD_DIFFERENCE))
+        self._begun, self._begun_s = _NOTHING, 0.0  # a triangle's first half and its weight
+        self._means: deque[_ForceAndRate] = deque(maxlen=len(_THIRD_DIFFERENCE))
         self._begin_block()
 
     def _begin_block(self) -> None:
-        self._rising: Vector3 = ZERO3  # the first half of one triangle
-        self._falling: Vector3 = ZERO3  # the second half of the one before
+        self._rising = _NOTHING  # the first half of one triangle
+        self._falling = _NOTHING  # the second half of the one before
         self._rise_s = self._fall_s = self._block_s = 0.0
         self._samples = 0
         self._squares_s2 = self._products_s2 = 0.0
 
-    def add(self, sample: Vector3, dt_s: float) -> None:
+    def add(self, force: Vector3, rate: Vector3, dt_s: float) -> None:
         """Take a sample, dt_s after the one before."""
         rise_s = dt_s * min((self._block_s + 0.5 * dt_s) / BLOCK_S, 1.0)
         fall_s = dt_s - rise_s
-        (x, y, z), (rx, ry, rz), (fx, fy, fz) = sample, self._rising, self._falling
-        self._rising = (rx + x * rise_s, ry + y * rise_s, rz + z * rise_s)
-        self._falling = (fx + x * fall_s, fy + y * fall_s, fz + z * fall_s)
+        (x, y, z), (p, q, r), (a, b, c, d, e, f) = force, rate, self._rising
+        self._rising = (
+            *(a + x * rise_s, b + y * rise_s, c + z * rise_s),
+            *(d + p * rise_s, e + q * rise_s, f + r * rise_s),
+        )
+        a, b, c, d, e, f = self._falling
+        self._falling = (
+            *(a + x * fall_s, b + y * fall_s, c + z * fall_s),
+            *(d + p * fall_s, e + q * fall_s, f + r * fall_s),
+        )
         self._rise_s, self._fall_s = self._rise_s + rise_s, self._fall_s + fall_s
         self._squares_s2 += rise_s * rise_s + fall_s * fall_s
         self._products_s2 += rise_s * fall_s
@@ -126,20 +135,26 @@ class SlowNoise:
             self._end_block()
 
     def _end_block(self) -> None:
-        (begun, begun_s), weight_s = self._begun, self._begun[1] + self._fall_s
-        if begun_s > 0.0:
-            self._means.append(scale(add(begun, self._falling), 1.0 / weight_s))
+        weight_s = self._begun_s + self._fall_s
+        if self._begun_s > 0.0:
+            k = 1.0 / weight_s
+            a, b, c, d, e, f = map(operator.add, self._begun, self._falling)
+            self._means.append((a * k, b * k, c * k, d * k, e * k, f * k))
         if len(self._means) == len(_THIRD_DIFFERENCE):
-            swing = ZERO3
-            for factor, mean in zip(_THIRD_DIFFERENCE, self._means, strict=True):
-                swing = add(swing, scale(mean, factor))
             # of white noise with a variance of 1: neighbouring triangles share a block
             variance = (_SQUARES * self._squares_s2 + 2.0 * _PRODUCTS * self._products_s2) / weight_s**2
-            seen = dot(swing, swing) / 3.0 / variance * self._block_s / self._samples
             share = self._block_s / (BLOCK_MEMORY_S + self._block_s)
-            self.density += share * (seen - self.density)
-        self._begun = (self._rising, self._rise_s)
+            x, y, z, p, q, r = map(_third_difference, *self._means)
+            force = (x * x + y * y + z * z) / 3.0 / variance * self._block_s / self._samples
+            rate = (p * p + q * q + r * r) / 3.0 / variance * self._block_s / self._samples
+            self.force_density_m2_s3 += share * (force - self.force_density_m2_s3)
+            self.rate_density_rad2_s += share * (rate - self.rate_density_rad2_s)
+        self._begun, self._begun_s = self._rising, self._rise_s
         self._begin_block()
+
+
+def _third_difference(a: float, b: float, c: float, d: float) -> float:
+    return a - 3.0 * b + 3.0 * c - d
 
 
 class ImuNoise:
@@ -147,19 +162,17 @@ class ImuNoise:
 
     def __init__(self, config: EkfConfig) -> None:
         self._config = config
-        self._vibration, self._slow_force, self._slow_rate = VibrationMonitor(), SlowNoise(), SlowNoise()
+        self._vibration, self._slow = VibrationMonitor(), SlowNoise()
         self._rate: Vector3 = ZERO3
         self._dt_s = math.inf
 
     def add(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> None:
         """Take a sample, dt_s after the one before; a gyroscope's bias is too small to count as a turn."""
         if dt_s > GAP_STEPS * self._dt_s:
-            self._slow_force.skip_gap()
-            self._slow_rate.skip_gap()
+            self._slow.skip_gap()
         self._dt_s = dt_s
         self._vibration.add(specific_force_m_s2, dt_s)
-        self._slow_force.add(specific_force_m_s2, dt_s)
-        self._slow_rate.add(rate_body_rad_s, dt_s)
+        self._slow.add(specific_force_m_s2, rate_body_rad_s, dt_s)
         (p, q, r), (u, v, w) = self._rate, rate_body_rad_s
         k = dt_s / (LASTING_S + dt_s)
         self._rate = (p + (u - p) * k, q + (v - q) * k, r + (w - r) * k)
@@ -169,9 +182,9 @@ class ImuNoise:
         """Of a step that ends with the newest sample."""
         config = self._config
         return StepNoise(
-            self._slow_force.density,
+            self._slow.force_density_m2_s3,
             self._vibration.error_m_s2(config.shaking_bound_m_s2, SHAKING_SHARE),
             self._rate,
-            self._slow_rate.density,
+            self._slow.rate_density_rad2_s,
             USUAL_SHARE * self._vibration.rms_m_s2,
         )

@@ -11,14 +11,13 @@ from companion.base.geometry import (
     FloatArray,
     Quaternion,
     Vector3,
-    add,
+    between,
     norm,
     quat_conjugate,
     quat_integrate,
     quat_multiply,
     quat_rotate,
     rotation_vector_from_quat,
-    scale,
     side_force,
     subtract,
     vector3,
@@ -64,29 +63,29 @@ class InertialMotion:
         `of_turning` is what its place adds to the sample's force (m/s², body; see `lever_arm`): `mean_force`
         is the centre of mass's already.
         """
-        turned = subtract(mean_rate, self.gyro_bias_rad_s)
-        without_yaw_error = subtract(turned, scale(self._yaw_share, turned[2]))
-        self.attitude = quat_integrate(self.attitude, without_yaw_error, dt_s)
+        (u, v, w), (gx, gy, gz), (kx, ky, kz) = mean_rate, self.gyro_bias_rad_s, self._yaw_share
+        p, q, r = turned = (u - gx, v - gy, w - gz)
+        self.attitude = quat_integrate(self.attitude, (p - kx * r, q - ky * r, r - kz * r), dt_s)
         # a rotor's tone lies near half of the samples' rate: a low-pass leaves a tenth of it as wind, of the
         # means between samples next to nothing
-        force = subtract(mean_force, self.accel_bias_m_s2)
+        (x, y, z), (bx, by, bz) = mean_force, self.accel_bias_m_s2
+        force = (x - bx, y - by, z - bz)
         orientation.update_imu(turned, force, dt_s)
-        self.rate_body_rad_s = subtract(sample.rate_body_rad_s, self.gyro_bias_rad_s)
-        unturned = subtract(sample.specific_force_body_m_s2, of_turning)
-        felt = _acceleration(self.attitude, subtract(unturned, self.accel_bias_m_s2))
+        (p, q, r), (x, y, z), (u, v, w) = sample.rate_body_rad_s, sample.specific_force_body_m_s2, of_turning
+        self.rate_body_rad_s = (p - gx, q - gy, r - gz)
+        felt = _acceleration(self.attitude, (x - u - bx, y - v - by, z - w - bz))
         acceleration = _acceleration(self.attitude, force)
         span_s = None if sample.interval_s is None else dt_s
         k = dt_s / (ACCELERATION_FILTER_S + dt_s)
-        self.acceleration_ned_m_s2 = _approached(self.acceleration_ned_m_s2, acceleration, k)
+        self.acceleration_ned_m_s2 = between(self.acceleration_ned_m_s2, acceleration, k)
         # a blow is over when it is felt: what lasts changes by no more than thrust can
-        self._lasting = _approached(self._lasting, _near(self._lasting, acceleration, GRAVITY_M_S2), k)
+        self._lasting = between(self._lasting, _near(self._lasting, acceleration, GRAVITY_M_S2), k)
         self._history.add(sample.time_s, self.attitude, felt, span_s, self._lasting)
-        pushed = side_force(self.attitude, force)
-        self.side_force_ned_m_s2 = _approached(self.side_force_ned_m_s2, pushed, k)
+        self.side_force_ned_m_s2 = between(self.side_force_ned_m_s2, side_force(self.attitude, force), k)
         # the pre-filter remembers an acceleration for as long as it averages; taken with its own attitude, so
         # that a wrong one of the EKF does not look like an acceleration and shut out what would correct it
         own = _acceleration(orientation.attitude, force)
-        self._by_orientation = _approached(self._by_orientation, own, k)
+        self._by_orientation = between(self._by_orientation, own, k)
         fade = 1.0 - min(dt_s / max(ACCEL_AVERAGE_S, dt_s), 1.0)
         self.disturbance_m_s2 = max(norm(self._by_orientation), self.disturbance_m_s2 * fade)
 
@@ -112,13 +111,7 @@ def _acceleration(attitude: Quaternion, specific_force_m_s2: Vector3) -> Vector3
     return (north, east, down + GRAVITY_M_S2)
 
 
-def _approached(value: Vector3, goal: Vector3, share: float) -> Vector3:
-    (x, y, z), (u, v, w) = value, goal
-    return (x + (u - x) * share, y + (v - y) * share, z + (w - z) * share)
-
-
 def _near(centre: Vector3, value: Vector3, reach: float) -> Vector3:
     """The value, or the nearest one to it within reach of the centre."""
-    away = subtract(value, centre)
-    distance = norm(away)
-    return value if distance <= reach else add(centre, scale(away, reach / distance))
+    distance = norm(subtract(value, centre))
+    return value if distance <= reach else between(centre, value, reach / distance)

@@ -26,12 +26,11 @@ from companion.base.geometry import (
     FloatArray,
     Vector3,
     add,
-    cross,
     scale,
     subtract,
     vector3,
 )
-from companion.estimate.gating import CHI_SQUARE_999, normalised_innovation_squared
+from companion.estimate.gating import fits
 from companion.estimate.motion import LEVER_STD_M
 
 LEVER_WALK_M_RTS: Final = 1e-4  # dampers give way
@@ -54,45 +53,52 @@ class _Block:
 
     def add(self, rate: Vector3, force: Vector3, dt_s: float) -> None:
         """Take the mean rate and force of dt_s."""
-        since_s = self.span_s + 0.5 * dt_s
+        rising_s = dt_s * (self.span_s + 0.5 * dt_s)
         (p, q, r), (u, v, w), (a, b, c) = rate, self.squares, self.products
-        self.rate = add(self.rate, scale(rate, dt_s))
         self.squares = (u + p * p * dt_s, v + q * q * dt_s, w + r * r * dt_s)
         self.products = (a + q * r * dt_s, b + r * p * dt_s, c + p * q * dt_s)
-        self.falling = add(self.falling, scale(force, dt_s))
-        self.rising = add(self.rising, scale(force, dt_s * since_s))
+        (a, b, c), (x, y, z) = self.rate, force
+        self.rate = (a + p * dt_s, b + q * dt_s, c + r * dt_s)
+        (a, b, c), (u, v, w) = self.falling, self.rising
+        self.falling = (a + x * dt_s, b + y * dt_s, c + z * dt_s)
+        self.rising = (u + x * rising_s, v + y * rising_s, w + z * rising_s)
         self.span_s += dt_s
 
 
 class LeverArm:
-    """Feed it every sample; `position_body_m` is the accelerometer's place from the centre of mass."""
+    """Feed it every sample; `position_body_m` is the accelerometer's place from the centre of mass.
+
+    `covariance_m2` (3, 3) is that place's.
+    """
 
     def __init__(self, told_body_m: Vector3) -> None:
         """`told_body_m`: by the vehicle's file."""
         self.position_body_m = told_body_m
         self.in_air = False
-        self._x, self._P = np.zeros(6), np.zeros((6, 6))
-        self._x[_ARM], self._P[_ARM, _ARM] = told_body_m, LEVER_STD_M**2 * EYE3
+        self._x = np.zeros(6)
+        P = np.zeros((6, 6))
+        self._x[_ARM], P[_ARM, _ARM] = told_body_m, LEVER_STD_M**2 * EYE3
+        self._take_covariance(P)
         self._last: _Block | None = None
         self._block, self._begun = _Block(), False
-
-    @property
-    def covariance_m2(self) -> FloatArray:
-        """Of the place (3, 3)."""
-        covariance: FloatArray = self._P[_ARM, _ARM]
-        return covariance
 
     def felt_m_s2(self, before_rad_s: Vector3, rate_rad_s: Vector3, dt_s: float) -> Vector3:
         """What is felt there of a turn (m/s2, body) between two rates dt_s apart.
 
         Means between samples rather than samples: these have the rotors' tones, and differences all of it.
         """
-        r = self.position_body_m
-        if r == ZERO3 or dt_s <= 0.0:
+        place = self.position_body_m
+        if place == ZERO3 or dt_s <= 0.0:
             return ZERO3
-        rate = scale(add(before_rad_s, rate_rad_s), 0.5)
-        tangential = cross(scale(subtract(rate_rad_s, before_rad_s), 1.0 / dt_s), r)
-        return add(tangential, cross(rate, cross(rate, r)))
+        (a, b, c), (u, v, w), (x, y, z), k = before_rad_s, rate_rad_s, place, 1.0 / dt_s
+        p, q, r = (a + u) * 0.5, (b + v) * 0.5, (c + w) * 0.5
+        a, b, c = (u - a) * k, (v - b) * k, (w - c) * k
+        u, v, w = q * z - r * y, r * x - p * z, p * y - q * x
+        return (
+            b * z - c * y + (q * w - r * v),
+            c * x - a * z + (r * u - p * w),
+            a * y - b * x + (p * v - q * u),
+        )
 
     def add(
         self, rate: Vector3, force: Vector3, dt_s: float, force_density: float, rate_density: float
@@ -118,25 +124,34 @@ class LeverArm:
         xx, yy, zz = scale(add(first.squares, second.squares), 0.5 / span_s)
         yz, zx, xy = scale(add(first.products, second.products), 0.5 / span_s)
         a, b, c = alpha
-        S = np.array([[-yy - zz, xy - c, zx + b], [xy + c, -zz - xx, yz - a], [zx - b, yz + a, -xx - yy]])
+        H = np.array(
+            (
+                (-yy - zz, xy - c, zx + b, 1.0, 0.0, 0.0),
+                (xy + c, -zz - xx, yz - a, 0.0, 1.0, 0.0),
+                (zx - b, yz + a, -xx - yy, 0.0, 0.0, 1.0),
+            )
+        )
         if not self._begun:
-            self._begin(f - S @ self._x[_ARM])
+            self._begin(f - H[:, _ARM] @ self._x[_ARM])
             return
-        self._P = self._P + span_s * _WALK
-        H = np.hstack([S, EYE3])
+        self._take_covariance(self._P + span_s * _WALK)
+        north, east, down, *_ = self._P.diagonal().tolist()
         # neighbouring triangles share a block: together they tell as much as blocks do
-        turned = float(np.trace(self.covariance_m2)) + float(self._x[_ARM] @ self._x[_ARM])
+        turned = north + east + down + float(self._x[_ARM] @ self._x[_ARM])
         noise = force_density / span_s + 2.0 * rate_density / span_s**3 * turned
         PH = self._P @ H.T
         innovation, spread = f - H @ self._x, H @ PH + noise * EYE3
-        if normalised_innovation_squared(innovation, spread) > CHI_SQUARE_999[3]:
+        if not fits(innovation, spread):
             self._begun = False  # a blow, or the ground
             return
         K = np.linalg.solve(spread, PH.T).T
         self._x = self._x + K @ innovation
         P = self._P - K @ PH.T
-        self._P = 0.5 * (P + P.T)
+        self._take_covariance(0.5 * (P + P.T))
         self.position_body_m = vector3(self._x[_ARM])
+
+    def _take_covariance(self, P: FloatArray) -> None:
+        self._P, self.covariance_m2 = P, P[_ARM, _ARM]
 
     def _begin(self, other_m_s2: FloatArray) -> None:
         """What else is felt is anything."""

@@ -15,7 +15,6 @@ from companion.base.geometry import (
     ZERO3,
     Quaternion,
     Vector3,
-    add,
     quat_from_rotation_vector,
     quat_integrate,
     quat_rotate,
@@ -45,8 +44,9 @@ class Strapdown:
 
     def add(self, dt_s: float, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3) -> None:
         """Take the mean rate and force of the dt_s since the sample before."""
-        middle = quat_integrate(self._turn, rate_body_rad_s, 0.5 * dt_s)
-        self._push = add(self._push, scale(quat_rotate(middle, specific_force_m_s2), dt_s))
+        x, y, z = quat_rotate(quat_integrate(self._turn, rate_body_rad_s, 0.5 * dt_s), specific_force_m_s2)
+        u, v, w = self._push
+        self._push = (u + x * dt_s, v + y * dt_s, w + z * dt_s)
         self._turn = quat_integrate(self._turn, rate_body_rad_s, dt_s)
         self.span_s += dt_s
         self.samples += 1

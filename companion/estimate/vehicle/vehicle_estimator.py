@@ -26,7 +26,6 @@ from companion.base.geometry import (
     quat_normalise,
     quat_rotate_inverse,
     scale,
-    subtract,
     vector3,
 )
 from companion.base.magnetic_field import field_here
@@ -268,12 +267,18 @@ class VehicleEstimator:
     # ------------------------------------------------------------ outputs
 
     @property
-    def gates(self) -> dict[str, int]:
-        """How many measurements of each kind have failed their innovation test."""
+    def gates(self) -> tuple[str, ...]:
+        """The innovation tests that a measurement has undergone."""
+        return () if self._ekf is None else (*self._ekf.gates, "field")
+
+    def refused_by(self, test: str) -> int:
+        """How many measurements have failed this innovation test."""
         if self._ekf is None:
-            return {}
-        counts = {kind: gate.refused for kind, gate in self._ekf.gates.items()}
-        return {**counts, "field": self._fields_untrusted}
+            return 0
+        if test == "field":
+            return self._fields_untrusted
+        gate = self._ekf.gates.get(test)
+        return 0 if gate is None else gate.refused
 
     def rotation_covariance(self) -> FloatArray | None:
         """Covariance (3, 3) of the attitude about NED axes (rad²); None before the alignment."""
@@ -376,19 +381,19 @@ class VehicleEstimator:
     def _move(self, sample: ImuSample, dt_s: float) -> None:
         """Bring everything that goes at the IMU's rate to the sample's time."""
         assert self._orientation is not None
-        raw = (sample.rate_body_rad_s, sample.specific_force_body_m_s2)
-        (last_rate, last_force), self._last_raw = self._last_raw or raw, raw
+        p, q, r = rate = sample.rate_body_rad_s
+        x, y, z = force = sample.specific_force_body_m_s2
+        ((a, b, c), (u, v, w)), self._last_raw = self._last_raw or (rate, force), (rate, force)
         # between two samples both are linear
-        mean_rate = scale(add(last_rate, raw[0]), 0.5)
-        mean_force = scale(add(last_force, raw[1]), 0.5)
-        self._noise.add(*raw, dt_s)
-        densities = self.motion.noise_density_m2_s3, self.motion.turn_density_rad2_s
-        self._lever.add(mean_rate, mean_force, dt_s, *densities)
-        self.motion.imu_body_m = self._lever.position_body_m
-        self.motion.imu_covariance_m2 = self._lever.covariance_m2
+        mean_rate = ((a + p) * 0.5, (b + q) * 0.5, (c + r) * 0.5)
+        x, y, z = mean_force = ((u + x) * 0.5, (v + y) * 0.5, (w + z) * 0.5)
+        self._noise.add(rate, force, dt_s)
+        motion, lever = self.motion, self._lever
+        lever.add(mean_rate, mean_force, dt_s, motion.noise_density_m2_s3, motion.turn_density_rad2_s)
+        motion.imu_covariance_m2 = lever.covariance_m2
         last_mean, self._last_mean_rate = self._last_mean_rate or mean_rate, mean_rate
-        of_turning = self._lever.felt_m_s2(last_mean, mean_rate, dt_s)
-        mean_force = subtract(mean_force, of_turning)
+        u, v, w = of_turning = lever.felt_m_s2(last_mean, mean_rate, dt_s)
+        mean_force = (x - u, y - v, z - w)
         self._strapdown.add(dt_s, mean_rate, mean_force)
         self._inertial.add(sample, of_turning, dt_s, mean_rate, mean_force, self._orientation)
 
