@@ -173,16 +173,16 @@ class VehicleEkf(EkfState):
 
     def _take_attitude(self, attitude: Quaternion, tilt_noise_rad: float, heading_noise_rad: float) -> None:
         expected, C = model.attitude_model(self.x)
-        measured = np.array(attitude)
+        measured, own = np.array(attitude), self.attitude
         if measured @ expected < 0.0:
             measured = -measured
-        rotation = np.diag([tilt_noise_rad**2, tilt_noise_rad**2, heading_noise_rad**2])
-        apart = rotation_vector_from_quat(quat_multiply(attitude, quat_conjugate(self.attitude)))
+        rotation = model.diagonal(tilt_noise_rad**2, tilt_noise_rad**2, heading_noise_rad**2)
+        apart = rotation_vector_from_quat(quat_multiply(attitude, quat_conjugate(own)))
         root = np.linalg.cholesky(self.rotation_covariance() + rotation + self._unjudged())
         # along the quaternion's length there is nothing to learn: any noise that keeps R regular
-        length = 1e-2 * np.outer(expected, expected)
-        gate_noise = model.attitude_covariance(self.attitude, rotation) + length
-        R = model.attitude_covariance(self.attitude, rotation + self._counted_already()) + length
+        length = 1e-2 * (expected[:, None] * expected)
+        gate_noise = model.attitude_covariance(own, rotation) + length
+        R = model.attitude_covariance(own, rotation + self._counted_already()) + length
         if self._update("orientation", measured - expected, C, R, gate_noise):
             self.watch = self.watch.after(self.time_s, vector3(np.linalg.solve(root, apart)))
             self._handle_inconsistency(attitude, rotation, apart)
@@ -193,13 +193,13 @@ class VehicleEkf(EkfState):
         """Variance (3, 3) about NED axes: a pre-filter's heading is the field's, which counts by itself; of
         one that is refused it tells nothing either."""
         counted = self.gates.get("mag", Gate()).accepted
-        return np.diag((0.0, 0.0, UNKNOWN_HEADING_RAD**2 if counted else 0.0))
+        return model.diagonal(0.0, 0.0, UNKNOWN_HEADING_RAD**2 if counted else 0.0)
 
     def _unjudged(self) -> FloatArray:
         """Variance (3, 3) about NED axes of what the pre-filter cannot judge: while fixes hold the heading, a
         compass that keeps to one side is its own matter. A steel deck turns it so, within size and dip."""
         known = self._fixes_fit and self.gates.get("mag", Gate()).accepted
-        return np.diag((0.0, 0.0, UNKNOWN_HEADING_RAD**2 if known else 0.0))
+        return model.diagonal(0.0, 0.0, UNKNOWN_HEADING_RAD**2 if known else 0.0)
 
     @property
     def _fixes_fit(self) -> bool:
@@ -240,7 +240,8 @@ class VehicleEkf(EkfState):
         """
         expected, C = model.mag_model(self.x)
         innovation, east = np.array(field_body_ut) - expected, self._magnetic_east()
-        explained = float(np.trace(C @ self.P @ C.T))
+        x, y, z = (C @ self.P @ C.T).diagonal().tolist()
+        explained = x + y + z
         disturbance_ut2 = max(float(innovation @ innovation) - explained, 0.0) / len(innovation)
         self._update("mag", innovation, C, self._mag_noise(east, disturbance_ut2), self._mag_gate_noise)
         gate = self.gates["mag"]
@@ -267,7 +268,7 @@ class VehicleEkf(EkfState):
         alike = 2.0 * config.mag_wander_s * config.mag_rate_hz
         across = config.mag_noise_ut**2 + alike * disturbance_ut2
         along = max(MAG_DIP_NOISE_UT**2, across)
-        return along * EYE3 - (along - across) * np.outer(east, east)
+        return along * EYE3 - (along - across) * (east[:, None] * east)
 
     def _suspect_bias(self) -> None:
         """Open the filter for another bias of the gyroscope, and for the turn it has made already."""

@@ -57,7 +57,13 @@ COUPLED: Final[int] = GYRO_BIAS.stop  # and what they change by is in these colu
 ATTITUDE: Final = slice(QUATERNION.start, EULER.stop)
 IMU_BIASES: Final = slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
 
-_CONSTANTS: Final = np.array((0.0, 1.0, -1.0))
+
+_ATTITUDE_SHOWN: Final = np.eye(4, STATES)
+
+
+def diagonal(x: float, y: float, z: float) -> FloatArray:
+    """A diagonal matrix (3, 3); numpy's own for any size takes four times as long."""
+    return np.array((x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)).reshape(3, 3)
 
 
 def _places() -> NDArray[np.intp]:
@@ -100,13 +106,12 @@ def rotation_jacobian(q: Quaternion, v: Vector3) -> FloatArray:
     w, x, y, z = q
     a, b, c = v
     d = x * a + y * b + z * c
-    return 2.0 * np.array(
-        [
-            [y * c - z * b, d - x * a, w * c + x * b - 2 * y * a, -w * b + x * c - 2 * z * a],
-            [z * a - x * c, -w * c + y * a - 2 * x * b, d - y * b, w * a + y * c - 2 * z * b],
-            [x * b - y * a, w * b + z * a - 2 * x * c, -w * a + z * b - 2 * y * c, d - z * c],
-        ]
+    values = (
+        *(y * c - z * b, d - x * a, w * c + x * b - 2 * y * a, -w * b + x * c - 2 * z * a),
+        *(z * a - x * c, -w * c + y * a - 2 * x * b, d - y * b, w * a + y * c - 2 * z * b),
+        *(x * b - y * a, w * b + z * a - 2 * x * c, -w * a + z * b - 2 * y * c, d - z * c),
     )
+    return 2.0 * np.array(values).reshape(3, 4)
 
 
 def inverse_rotation_jacobian(q: Quaternion, v: Vector3) -> FloatArray:
@@ -125,29 +130,25 @@ def euler_jacobian(q: Quaternion) -> FloatArray:
     i = 1.0 / max(n_roll * n_roll + d_roll * d_roll, 1e-4)
     k = 1.0 / max(n_yaw * n_yaw + d_yaw * d_yaw, 1e-4)
     j = 2.0 / math.sqrt(max(1.0 - sine * sine, 1e-4))
-    return np.array(
-        [
-            [
-                2 * i * d_roll * x,
-                i * (2 * d_roll * w + 4 * n_roll * x),
-                i * (2 * d_roll * z + 4 * n_roll * y),
-                2 * i * d_roll * y,
-            ],
-            [j * y, -j * z, j * w, -j * x],
-            [
-                2 * k * d_yaw * z,
-                2 * k * d_yaw * y,
-                k * (2 * d_yaw * x + 4 * n_yaw * y),
-                k * (2 * d_yaw * w + 4 * n_yaw * z),
-            ],
-        ]
+    by_roll = (
+        2 * i * d_roll * x,
+        i * (2 * d_roll * w + 4 * n_roll * x),
+        i * (2 * d_roll * z + 4 * n_roll * y),
+        2 * i * d_roll * y,
     )
+    by_yaw = (
+        2 * k * d_yaw * z,
+        2 * k * d_yaw * y,
+        k * (2 * d_yaw * x + 4 * n_yaw * y),
+        k * (2 * d_yaw * w + 4 * n_yaw * z),
+    )
+    return np.array((*by_roll, j * y, -j * z, j * w, -j * x, *by_yaw)).reshape(3, 4)
 
 
 def right_matrix(q: Quaternion) -> FloatArray:
     """M(q), (4, 4), with p * q = M(q) p."""
     w, x, y, z = q
-    return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
+    return np.array((w, -x, -y, -z, x, w, z, -y, y, -z, w, x, z, y, -x, w)).reshape(4, 4)
 
 
 def turn_and_derivatives(rotation: Vector3) -> tuple[Quaternion, tuple[Quaternion, ...]]:
@@ -177,15 +178,13 @@ def _turned(q: Quaternion, rotation: Vector3, scale_by: float) -> tuple[Quaterni
     w, x, y, z = turn
     (ew, ex, ey, ez), (fw, fx, fy, fz), (gw, gx, gy, gz) = (quat_multiply(q, d) for d in derivatives)
     k = scale_by
-    jacobian = np.array(
-        [
-            [w, -x, -y, -z, k * ew, k * fw, k * gw],
-            [x, w, z, -y, k * ex, k * fx, k * gx],
-            [y, -z, w, x, k * ey, k * fy, k * gy],
-            [z, y, -x, w, k * ez, k * fz, k * gz],
-        ]
+    values = (
+        *(w, -x, -y, -z, k * ew, k * fw, k * gw),
+        *(x, w, z, -y, k * ex, k * fx, k * gx),
+        *(y, -z, w, x, k * ey, k * fy, k * gy),
+        *(z, y, -x, w, k * ez, k * fz, k * gz),
     )
-    return quat_multiply(q, turn), jacobian
+    return quat_multiply(q, turn), np.array(values).reshape(4, 7)
 
 
 class InertialInput(NamedTuple):
@@ -214,17 +213,19 @@ def transition(x: FloatArray, u: InertialInput, dt_s: float) -> tuple[FloatArray
     an, ae, ad = quat_rotate(q_mid, force)
     acceleration = (an, ae, ad + GRAVITY_M_S2)
     gained = scale(acceleration, dt_s)
-    state[ATTITUDE] = (*q_after, *euler_from_quat(q_after))
-    state[POSITION] = add(state[POSITION], scale(add(state[VELOCITY], scale(gained, 0.5)), dt_s))
-    state[VELOCITY] = add(state[VELOCITY], gained)
-    state[RATE] = (rx / dt_s, ry / dt_s, rz / dt_s)
-    state[ACCELERATION] = acceleration
+    velocity = state[VELOCITY]
+    position = add(state[POSITION], scale(add(velocity, scale(gained, 0.5)), dt_s))
+    state[: ACCELERATION.stop] = (
+        *(*q_after, *euler_from_quat(q_after), rx / dt_s, ry / dt_s, rz / dt_s),
+        *(*position, *add(velocity, gained), *acceleration),
+    )
     accelerating = rotation_jacobian(q_mid, force) @ (dt_s * turning_half)
     showing = euler_jacobian(q_after) @ turning
     pushing = matrix_from_quat(q_mid) * -dt_s
     gaining = np.concatenate((accelerating.ravel(), pushing.ravel()))
-    parts = (_CONSTANTS, (dt_s,), turning.ravel(), showing.ravel(), gaining, gaining / dt_s)
-    A: FloatArray = np.concatenate((*parts, (0.5 * dt_s) * gaining)).take(_PLACES)
+    constants = np.array((0.0, 1.0, -1.0, dt_s))
+    parts = (constants, turning.ravel(), showing.ravel(), gaining, gaining / dt_s, (0.5 * dt_s) * gaining)
+    A: FloatArray = np.concatenate(parts).take(_PLACES)
     return np.array(state), A
 
 
@@ -265,9 +266,7 @@ def gps_velocity_model(
 
 def attitude_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The orientation filter's quaternion (Fig. 6): values (4,) and Jacobian (4, 31)."""
-    C = np.zeros((4, STATES))
-    C[:, QUATERNION] = np.eye(4)
-    return x[QUATERNION].copy(), C
+    return x[QUATERNION].copy(), _ATTITUDE_SHOWN
 
 
 def attitude_covariance(q: Quaternion, rotation_ned_covariance: FloatArray) -> FloatArray:

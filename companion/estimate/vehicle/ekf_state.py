@@ -18,7 +18,7 @@ import numpy as np
 from companion.base.geometry import EYE3, FloatArray, Quaternion, euler_from_quat, quat_normalise
 from companion.base.late_import import imported_late
 from companion.config import EkfConfig
-from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
+from companion.estimate.gating import Gate, fits
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_start import (
     TINY_VARIANCE,
@@ -190,8 +190,7 @@ class EkfState:
         The two differ where R is larger to make up for errors that are alike in many samples.
         """
         if gate_noise is not None:
-            test = normalised_innovation_squared(innovation, C @ self.P @ C.T + gate_noise)
-            passed = test <= CHI_SQUARE_999[len(innovation)]
+            passed = fits(innovation, C @ self.P @ C.T + gate_noise)
             self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
             if not passed:
                 return False

@@ -76,6 +76,8 @@ class TroubleReport:
     def news(self, watch: InnovationWatch, fixes: FixWatch) -> tuple[str, ...]:
         """What was not said before."""
         happened_s = (watch.doubted_s, fixes.suspected_s, watch.restarted_s)
+        if happened_s == self._reported_s:
+            return ()
         times_s = zip(happened_s, self._reported_s, _TROUBLES, strict=True)
         new = tuple(words for happened, reported, words in times_s if happened > reported)
         self._reported_s = tuple(map(max, happened_s, self._reported_s))
