@@ -295,13 +295,13 @@ class StateEstimator:
         estimate = self._pad_at(now_s)
         if estimate is None or not _finite((*estimate.x, estimate.heading_rad, estimate.heading_rate_rad_s)):
             return None
-        position = vector3(estimate.x[0:3])
-        relative_velocity = vector3(estimate.x[3:6])
+        north, east, down, vn, ve, vd, *acceleration = estimate.x.tolist()
+        position, relative_velocity = (north, east, down), (vn, ve, vd)
         rotation = self._vehicle.rotation_covariance()
         rotation = np.zeros((3, 3)) if rotation is None else rotation
-        covariance = estimate.covariance(rotation, ATTITUDE_WANDER_RAD_S)
-        variance = covariance.diagonal()
-        place_variance, speed_variance = float(variance[:3].sum()), float(variance[3:].sum())
+        covariance = estimate.covariance(rotation, ATTITUDE_WANDER_RAD_S).tolist()
+        variance = [row[at] for at, row in enumerate(covariance)]
+        place_variance, speed_variance = sum(variance[:3]), sum(variance[3:])
         if not (place_variance >= 0.0 and speed_variance >= 0.0):
             return None
         return PadState(
@@ -309,13 +309,13 @@ class StateEstimator:
             relative_position_ned_m=position,
             relative_velocity_ned_m_s=relative_velocity,
             velocity_ned_m_s=add(relative_velocity, self._vehicle.velocity(now_s)),
-            acceleration_ned_m_s2=vector3(estimate.x[6:9]),
+            acceleration_ned_m_s2=vector3(acceleration),
             heading_rad=estimate.heading_rad,
             heading_rate_rad_s=estimate.heading_rate_rad_s,
             position_std_m=math.sqrt(place_variance),
             velocity_std_m_s=math.sqrt(speed_variance),
             seen_time_s=estimate.seen_time_s,
-            covariance=tuple(tuple(row) for row in covariance.tolist()),
+            covariance=tuple(map(tuple, covariance)),
             turn_rate_rad_s=estimate.turn_rate_rad_s,
             jerk_ned_m_s3=(*estimate.jerk_m_s3, 0.0),
             models=estimate.models,

@@ -150,6 +150,8 @@ class PadFilter:
         moved = advance(snapshot.models, step)
         heading = snapshot.heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ, yaw)
         blend = self._bank.blend(moved)
+        probabilities, (jerk_n, jerk_e) = moved.probabilities.tolist(), moved.means[TURN, 6:8].tolist()
+        turning = probabilities[TURN]
         return CombinedEstimate(
             x=blend.mean[:, :FIRST].take(STATES_AT),
             P=blend.covariance[:, :FIRST, :FIRST].take(PAIRS_AT),
@@ -158,8 +160,8 @@ class PadFilter:
             seen_time_s=snapshot.seen_time_s,
             turn_rate_rad_s=snapshot.turn.rate_rad_s,
             slow_share=snapshot.slow_share,
-            jerk_m_s3=tuple((moved.probabilities[TURN] * moved.means[TURN, 6:8]).tolist()),
-            models=dict(zip(self._names, moved.probabilities.tolist(), strict=True)),
+            jerk_m_s3=(turning * jerk_n, turning * jerk_e),
+            models=dict(zip(self._names, probabilities, strict=True)),
             tilt=snapshot.tilt.after(dt_s, self._config.tilt_acceleration_rad_s2_rthz).tilt,
             observed_time_s=snapshot.observed_time_s,
         )

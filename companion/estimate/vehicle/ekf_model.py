@@ -291,5 +291,5 @@ def rotation_covariance(q: Quaternion, quaternion_covariance: FloatArray) -> Flo
 
 def rotation_from_quaternion(q: Quaternion) -> FloatArray:
     """d(small rotation about NED axes, rad)/dq at q, (3, 4)."""
-    jacobian: FloatArray = 2.0 * right_matrix(q)[:, 1:].T
-    return jacobian
+    w, x, y, z = (2.0 * part for part in q)
+    return np.array((-x, w, -z, y, -y, z, w, -x, -z, -y, x, w)).reshape(3, 4)

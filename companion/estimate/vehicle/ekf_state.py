@@ -83,6 +83,7 @@ class EkfState:
         self.yaw_error = YawError.first()
         self.force_density_m2_s3 = 0.0  # of the force's own noise on an axis, in the last prediction
         self._moved: FloatArray | None = EYE
+        self._rotation: tuple[FloatArray, FloatArray, FloatArray] | None = None  # its covariance, of x and P
 
     def snapshot(self) -> EkfSnapshot:
         """The whole state; cheap, since nothing is changed in place."""
@@ -103,7 +104,10 @@ class EkfState:
 
     def rotation_covariance(self) -> FloatArray:
         """Covariance (3, 3) of the attitude as a small rotation about NED axes (rad²)."""
-        return model.rotation_covariance(self.attitude, self.P[model.QUATERNION, model.QUATERNION])
+        if self._rotation is None or self._rotation[0] is not self.x or self._rotation[1] is not self.P:
+            P = self.P[model.QUATERNION, model.QUATERNION]
+            self._rotation = self.x, self.P, model.rotation_covariance(self.attitude, P)
+        return self._rotation[2]
 
     def motion_covariance(self) -> FloatArray:
         """Covariance (9, 9): small rotation about NED axes (rad), velocity NED (m/s), position NED (m)."""
@@ -147,7 +151,7 @@ class EkfState:
         self.force_density_m2_s3 = self._force_density(noise, dt_s, samples)
         turn_variance, velocity_variance = self._inertial_noise(noise, dt_s, samples)
         velocity_std, turn_std = math.sqrt(velocity_variance), math.sqrt(turn_variance)
-        G = A[:, model.IMU_BIASES] / dt_s * (*[velocity_std] * 3, *[turn_std] * 3)
+        G = A[:, model.IMU_BIASES] / dt_s * np.array((*[velocity_std] * 3, *[turn_std] * 3))
         P[:n, :n] += G @ G.T
         diagonal[:7] += TINY_VARIANCE
         self.P = P

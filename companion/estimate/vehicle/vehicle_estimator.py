@@ -318,8 +318,8 @@ class VehicleEstimator:
         place, speed = self.motion.moved(ekf.time_s, now_s)
         velocity = vector3(ekf.x[model.VELOCITY])
         position = add(vector3(ekf.x[model.POSITION]), scale(velocity, now_s - ekf.time_s))
-        variance, inertial = ekf.P.diagonal(), self._inertial
-        attitude_std_rad = 2.0 * math.sqrt(float(variance[model.QUATERNION].sum()))
+        variance, inertial = ekf.P.diagonal().tolist(), self._inertial
+        attitude_std_rad = 2.0 * math.sqrt(sum(variance[model.QUATERNION]))
         return VehicleState(
             time_s=now_s,
             attitude=self._attitude_near(max(now_s, self.newest_s)),
@@ -331,8 +331,8 @@ class VehicleEstimator:
             gyro_bias_rad_s=inertial.gyro_bias_rad_s,
             accel_bias_m_s2=inertial.accel_bias_m_s2,
             attitude_std_rad=attitude_std_rad,
-            velocity_std_m_s=math.sqrt(float(variance[model.VELOCITY].sum())),
-            position_std_m=math.sqrt(float(variance[model.POSITION].sum())),
+            velocity_std_m_s=math.sqrt(sum(variance[model.VELOCITY])),
+            position_std_m=math.sqrt(sum(variance[model.POSITION])),
             aligned=attitude_std_rad < ALIGNED_STD_RAD,
             has_gps=now_s - ekf.gps_time_s < GPS_TIMEOUT_S,
             origin=self.origin,
