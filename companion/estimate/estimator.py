@@ -293,9 +293,11 @@ class StateEstimator:
     def pad(self, now_s: float) -> PadState | None:
         """The pad, predicted to now_s; None before the first sighting, unseen for too long, or not finite."""
         estimate = self._pad_at(now_s)
-        if estimate is None or not _finite((*estimate.x, estimate.heading_rad, estimate.heading_rate_rad_s)):
+        if estimate is None:
             return None
-        north, east, down, vn, ve, vd, *acceleration = estimate.x.tolist()
+        north, east, down, vn, ve, vd, *acceleration = x = estimate.x.tolist()
+        if not _finite((*x, estimate.heading_rad, estimate.heading_rate_rad_s)):
+            return None
         position, relative_velocity = (north, east, down), (vn, ve, vd)
         rotation = self._vehicle.rotation_covariance()
         rotation = np.zeros((3, 3)) if rotation is None else rotation

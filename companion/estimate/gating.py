@@ -43,12 +43,6 @@ def passes(y: Vector3, S: tuple[float, ...]) -> bool:
     return (squares + 2.0 * products) / (a * p + b * q + c * r) <= CHI_SQUARE_999[3]
 
 
-def upper_triangle(covariance: FloatArray) -> tuple[float, ...]:
-    """Of a covariance (3, 3), row by row, as `passes` takes it."""
-    (a, b, c), (_, d, e), (_, _, f) = covariance.tolist()
-    return (a, b, c, d, e, f)
-
-
 def fits(innovation: FloatArray, covariance: FloatArray) -> bool:
     """Whether an innovation (m,) with this covariance (m, m) passes.
 
@@ -57,7 +51,8 @@ def fits(innovation: FloatArray, covariance: FloatArray) -> bool:
         ZeroDivisionError: the same, of three axes.
     """
     if len(innovation) == 3:
-        return passes(vector3(innovation), upper_triangle(covariance))
+        (a, b, c), (_, d, e), (_, _, f) = covariance.tolist()
+        return passes(vector3(innovation), (a, b, c, d, e, f))
     return normalised_innovation_squared(innovation, covariance) <= CHI_SQUARE_999[len(innovation)]
 
 

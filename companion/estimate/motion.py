@@ -212,4 +212,4 @@ def part_way(before: Quaternion, after: Quaternion, share: float) -> Quaternion:
 def rotation_lever(place: Vector3) -> FloatArray:
     """The matrix (3, 3) that makes of a small rotation what it moves a place by: rotation x place."""
     x, y, z = place
-    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    return np.array((0.0, z, -y, -z, 0.0, x, y, -x, 0.0)).reshape(3, 3)

@@ -92,6 +92,7 @@ SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sighti
 _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
 _F, _BODY = 17, slice(11, 18)  # m is 14:17
 _STATES: Final = 18
+_EYE: Final = np.eye(_STATES)
 
 
 class CameraCheck:
@@ -237,9 +238,9 @@ class CameraCheck:
         self._turn(dt, self._motion.corrected(self._time_s, time_s))
         moved, sped = (np.array(u) for u in self._motion.moved(self._time_s, time_s))
         fade = math.exp(-dt / PAD_ACCELERATION_S)
-        F = np.eye(_STATES)
-        F[_Q, _V], F[_Q, _A], F[_V, _A] = dt * EYE3, 0.5 * dt * dt * EYE3, dt * EYE3
-        F[_A, _A] = fade * EYE3
+        F = _EYE.copy()
+        F[_Q, _V] = F[_V, _A] = dt * EYE3
+        F[_Q, _A], F[_A, _A] = 0.5 * dt * dt * EYE3, fade * EYE3
         F[_Q, _K], F[_V, _K] = -moved, -sped
         self._x = F @ self._x
         push = PAD_ACCELERATION_M_S2**2 * (1.0 - fade * fade)
@@ -247,12 +248,14 @@ class CameraCheck:
         pushed = np.array([dt * dt / 6.0, 0.5 * dt, 1.0])
         # a noisy gyroscope's horizon wanders, and gravity with it: an acceleration of nobody's
         leans = GRAVITY_M_S2**2 * self._motion.turn_density_rad2_s * dt
-        added = push * np.outer(pushed, pushed) + np.diag([shaken * dt * dt / 3.0, shaken, leans])
-        self._P = F @ self._P @ F.T
+        added = push * (pushed[:, None] * pushed)
+        added.reshape(-1)[::4] += (shaken * dt * dt / 3.0, shaken, leans)
+        P = F @ self._P @ F.T
         for axis in range(3):
-            self._P[axis:9:3, axis:9:3] += added
-        self._P[_K, _K] += SCALE_WALK_RTS**2 * dt
-        self._P[_D, _D] += self._delay_walk**2 * dt
+            P[axis:9:3, axis:9:3] += added
+        P[_K, _K] += SCALE_WALK_RTS**2 * dt
+        P[_D, _D] += self._delay_walk**2 * dt
+        self._P = P
 
     def _see(
         self, attitude: Quaternion, pad_body_m: Vector3, sweep_m_s: Vector3, noise_m2: float, *, scale: bool
@@ -314,7 +317,8 @@ class CameraCheck:
         if not scale:
             K[_K] = 0.0
         self._x = self._x + K @ y
-        P = self._P - K @ PH.T - PH @ K.T + K @ S @ K.T
+        KPH = K @ PH.T
+        P = self._P - KPH - KPH.T + K @ S @ K.T
         self._P = 0.5 * (P + P.T)
 
     # ------------------------------------------------------------ as compared

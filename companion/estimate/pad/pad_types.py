@@ -124,7 +124,7 @@ class CombinedEstimate:
         alike. One that wanders, and a calibration that is off, give a vehicle at rest a velocity.
         """
         position, velocity = self.x[0:3], self.x[3:6]
-        swings = np.vstack((rotation_lever(vector3(position)), rotation_lever(vector3(velocity))))
+        swings = np.concatenate((rotation_lever(vector3(position)), rotation_lever(vector3(velocity))))
         total = self.P[:6, :6] + swings @ rotation_covariance @ swings.T
         total[3:, 3:] += wander_rad_s**2 * (swings[:3] @ rotation_covariance @ swings[:3].T)
         share = self.slow_share**2

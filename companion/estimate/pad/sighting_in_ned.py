@@ -60,7 +60,7 @@ def in_ned(sighting: PadSighting, exposure: VehicleAtExposure) -> PadMeasurement
 
 def numbers(sighting: PadSighting) -> tuple[float, ...]:
     """All of a sighting that has to be finite."""
-    return (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
+    return (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.ravel().tolist())
 
 
 SIGHTING: Final = ObservationKind("sighting", PadSighting, numbers, in_ned, by_camera=True)
