@@ -46,6 +46,13 @@ def test_blend_lies_between_and_has_unit_length(
     assert between_rad(mixed, r) <= between_rad(r, q) + 1e-6
 
 
+@given(attitudes)
+@settings(max_examples=60, deadline=None)
+def test_the_down_axis_turns_as_any_vector(q: Quaternion) -> None:
+    assert g.down_axis(q) == g.quat_rotate(q, (0.0, 0.0, 1.0))
+    assert g.down_in_body(q) == quat_rotate_inverse(q, (0.0, 0.0, 1.0))
+
+
 @given(angles, pitches, angles)
 @settings(max_examples=60, deadline=None)
 def test_alignment_inverts_the_sensors(roll: float, pitch: float, yaw: float) -> None:

@@ -116,16 +116,11 @@ class SlowNoise:
         """Take a sample, dt_s after the one before."""
         rise_s = dt_s * min((self._block_s + 0.5 * dt_s) / BLOCK_S, 1.0)
         fall_s = dt_s - rise_s
-        (x, y, z), (p, q, r), (a, b, c, d, e, f) = force, rate, self._rising
-        self._rising = (
-            *(a + x * rise_s, b + y * rise_s, c + z * rise_s),
-            *(d + p * rise_s, e + q * rise_s, f + r * rise_s),
-        )
-        a, b, c, d, e, f = self._falling
-        self._falling = (
-            *(a + x * fall_s, b + y * fall_s, c + z * fall_s),
-            *(d + p * fall_s, e + q * fall_s, f + r * fall_s),
-        )
+        (x, y, z), (p, q, r) = force, rate
+        (a, b, c, d, e, f), w = self._rising, rise_s
+        self._rising = (a + x * w, b + y * w, c + z * w, d + p * w, e + q * w, f + r * w)
+        (a, b, c, d, e, f), w = self._falling, fall_s
+        self._falling = (a + x * w, b + y * w, c + z * w, d + p * w, e + q * w, f + r * w)
         self._rise_s, self._fall_s = self._rise_s + rise_s, self._fall_s + fall_s
         self._squares_s2 += rise_s * rise_s + fall_s * fall_s
         self._products_s2 += rise_s * fall_s
@@ -154,7 +149,8 @@ class SlowNoise:
 
 
 def _third_difference(a: float, b: float, c: float, d: float) -> float:
-    return a - 3.0 * b + 3.0 * c - d
+    w, x, y, z = _THIRD_DIFFERENCE
+    return w * a + x * b + y * c + z * d
 
 
 class ImuNoise:

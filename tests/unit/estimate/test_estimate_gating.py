@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from companion.estimate.gating import CHI_SQUARE_999, Gate, Timeline, normalised_innovation_squared
+from companion.estimate.gating import CHI_SQUARE_999, Gate, Timeline, fits, normalised_innovation_squared
 
 
 class InputRecorder:
@@ -32,6 +32,17 @@ def test_bounds_are_the_999_permille_points_of_chi_square() -> None:
 
 def test_normalised_innovation_weighs_by_the_covariance() -> None:
     assert normalised_innovation_squared(np.array([2.0, 3.0]), np.diag([4.0, 9.0])) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("axes", [2, 3, 4])
+def test_an_innovation_fits_up_to_the_bound_of_its_number_of_axes(axes: int) -> None:
+    rng = np.random.default_rng(axes)
+    for _ in range(20):
+        root, direction = rng.standard_normal((axes, axes)), rng.standard_normal(axes)
+        covariance = root @ root.T + 0.1 * np.eye(axes)
+        size = np.sqrt(CHI_SQUARE_999[axes] / normalised_innovation_squared(direction, covariance))
+        assert fits(0.999 * size * direction, covariance)
+        assert not fits(1.001 * size * direction, covariance)
 
 
 def test_gate_counts_and_forgives_after_one_that_fits() -> None:
