@@ -132,7 +132,9 @@ class PadDetector:
         smallest_px = self._config.minimum_side_px / min(scale, 1.0)
         origin = np.array([where.left, where.top], dtype=np.float64)
         codes = _printed_once(reader.read(part, smallest_px))
-        outlines = np.array([code.corners_px for code in codes]).reshape(-1, 4, 2)
+        if not codes:
+            return []
+        outlines = np.array([code.corners_px for code in codes])
         quads = (_outlined(outlines) + 0.5) * scale - 0.5 + origin
         found = [
             Detection(markers[code.number], corners_m[code.number], quad, side, CONTOUR_STD_PX * scale)
@@ -193,6 +195,8 @@ class CodeReader:
         self._parameters.minMarkerPerimeterRate = 2.0 * math.sqrt(2.0) * outline_px / max(image.shape)
         self._detector.setDetectorParameters(self._parameters)
         quads, ids, _, which = self._detector.detectMarkersMultiDict(image)
+        if not quads:
+            return []
         outlines = np.array(quads, dtype=np.float64).reshape(-1, 4, 2)
         rows = zip(_flat(which), _flat(ids), strict=True)
         numbers = [self._order[k, self._ids[k][row]] for k, row in rows]

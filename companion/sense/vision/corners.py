@@ -88,14 +88,21 @@ CROWDED_SHARE: Final = 0.6
 # (3, 3)
 _BASIS, _TRIANGLE = np.linalg.qr(np.stack((np.ones(NORMALS), PLACES, PLACES**2), axis=1))
 _POLYNOMIALS: Final = np.linalg.inv(_TRIANGLE)
+_PLACES2: Final = PLACES**2
 
 
 class _Curves(NamedTuple):
-    """Curves through places: coefficients (m, 3, 4), where places (m, NORMALS, 4) lie, and which count."""
+    """Curves through places: coefficients (m, 3, 4), where places (m, NORMALS, 4) lie, and which count.
+
+    `shrink` (m, 4) is by how much the bow's coefficient is drawn to what is expected of it: 0 wholly, 1 not
+    at all; `bow_std` (m, 4) how far from that it may be.
+    """
 
     coefficients: FloatArray
     offset: FloatArray
     kept: NDArray[np.bool_]
+    shrink: FloatArray
+    bow_std: FloatArray
 
     def used(self) -> tuple[FloatArray, FloatArray]:
         """The share (m,) of the places that count, and that of the side with the fewest."""
@@ -162,11 +169,11 @@ def refine_quads(
         curves = _curves(places, sides)
         moves = pixels_from_complex(_meeting(sides, curves))
         corners = corners + moves
-        moved = np.abs(moves).max(axis=(1, 2))
+        moved = _farthest(moves)
         # a side that is still on its way must not leave the edge behind
         looked, wanted = reach, np.maximum(REACH_BLURS * median(places.blur_px), REACH_MOVES * moved)
         reach = np.minimum(np.maximum(wanted, LEAST_REACH_PX), farthest)
-        lost = np.abs(corners - quads).max(axis=(1, 2)) > 1.5 * farthest
+        lost = _farthest(corners - quads) > 1.5 * farthest
         # nor is one at rest that was last looked at with taps far apart
         if (lost | ((moved < SETTLED_PX) & (looked < COARSE * reach))).all():
             break
@@ -180,19 +187,25 @@ def refine_quads(
     blur = places.blur_px
     crowded = CROWDED_SHARE * np.maximum(blur - CROWDED_CELL * (mean_side(corners) / cells)[:, None], 0.0)
     eaten = np.where(places.full[:, None], blur, 0.0)
-    corners[~lost] += outwards(sides.normal, EATEN_MEAN * eaten)[~lost]
+    if places.full.any():
+        corners[~lost] += outwards(sides.normal, EATEN_MEAN * eaten)[~lost]
     shrunk = np.sqrt((EATEN_STD * eaten) ** 2 + crowded**2 + (ENCODED * encoding_error * blur) ** 2)
     return Refined(corners, offset_std, turn_std, shrunk, crowded.mean(axis=1))
+
+
+def _farthest(moves: FloatArray) -> FloatArray:
+    """Of moves (m, 4, 2) px, each marker's longest (m,) along an axis."""
+    return np.asarray(np.abs(moves).reshape(-1, 8).max(axis=1))
 
 
 def _room(corners: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """How far (m,) px the corner that is nearest to the picture's edge is from it."""
     far = np.array(shape[::-1]) - 1.0 - corners
-    return np.asarray(np.minimum(corners, far).min(axis=(1, 2)))
+    return np.asarray(np.minimum(corners, far).reshape(-1, 8).min(axis=1))
 
 
 def _sides(corners: ComplexArray, image_width_px: int, bow_px: FloatArray | None) -> Sides:
-    across = corners[:, NEXT] - corners
+    across = corners.take(NEXT, axis=1) - corners
     length = np.maximum(np.abs(across), 1.0)
     along = across / length
     end = np.maximum(END_SHARE, END_PX / (0.25 * length.sum(axis=1, keepdims=True)))
@@ -200,7 +213,7 @@ def _sides(corners: ComplexArray, image_width_px: int, bow_px: FloatArray | None
     if bow_px is None:
         bow_px, bow_std = np.zeros_like(length), BOW / image_width_px * length**2
     else:
-        bow_std = BOW_LEFT_PER_PX * length**2
+        bow_std = BOW_LEFT_PER_PX * (length * length)
     return Sides(corners, along, -1j * along, length, span, bow_px, bow_std)
 
 
@@ -213,31 +226,28 @@ def _curves(places: Places, sides: Sides) -> _Curves:
     weigh them with nothing, and one small product does for all sides.
     """
     m = len(places.offset)
-    bend = 1.0 - sides.span**2 * PLACES**2
+    bend = 1.0 - sides.span * sides.span * _PLACES2
     offset = places.offset - sides.bow[:, None] * bend[..., None]
     usual = median(places.contrast.reshape(m, -1))
     keep = places.contrast > (LEAST_CONTRAST * usual)[:, None, None]
-    gain = np.ones((m, 3, 4))
-    gain[:, 2] = _shrink(sides)
+    bow_std = sides.bow_std * _TRIANGLE[2, 2]
+    variance = bow_std * bow_std
+    shrink = variance / (variance + PLACE_STD_PX**2)
     filled = offset if keep.all() else np.where(keep, offset, median(offset.swapaxes(1, 2))[:, None])
     for _ in range(REFITS):
-        fitted = _BASIS @ (gain * (_BASIS.T @ filled))
+        fitted = _BASIS @ _coefficients(filled, shrink)
         away = np.abs(offset - fitted)
         most = np.maximum(1.48 * median(away.reshape(m, -1)), LEAST_SPREAD_PX) * OUTLIER_SIGMA
         keep &= away < most[:, None, None]
         filled = np.where(keep, offset, fitted)
-    return _Curves(gain * (_BASIS.T @ filled), offset, keep)
+    return _Curves(_coefficients(filled, shrink), offset, keep, shrink, bow_std)
 
 
-def _shrink(sides: Sides) -> FloatArray:
-    """By how much (m, 4) the bow's coefficient is drawn to what is expected of it: 0 wholly, 1 not at all."""
-    variance = _bow_std(sides) ** 2
-    return np.asarray(variance / (variance + PLACE_STD_PX**2))
-
-
-def _bow_std(sides: Sides) -> FloatArray:
-    """Of the third orthonormal polynomial's coefficient (m, 4)."""
-    return np.asarray(sides.bow_std * _TRIANGLE[2, 2])
+def _coefficients(offset: FloatArray, shrink: FloatArray) -> FloatArray:
+    """Of the curves (m, 3, 4) through places (m, NORMALS, 4), the bow's shrunk by (m, 4)."""
+    coefficients = _BASIS.T @ offset
+    coefficients[:, 2] *= shrink
+    return coefficients
 
 
 def _meeting(sides: Sides, curves: _Curves) -> ComplexArray:
@@ -251,8 +261,8 @@ def _meeting(sides: Sides, curves: _Curves) -> ComplexArray:
     # tangents at a side's start and, of the side before, at its end: lines a . x = offset
     slope = 2.0 / sides.length * sides.along
     a = sides.normal - (tilt - bent) * slope
-    b = (sides.normal - (tilt + bent) * slope)[:, BEFORE]
-    ahead, behind = (middle + tilt)[:, BEFORE], middle - tilt
+    b = (sides.normal - (tilt + bent) * slope).take(BEFORE, axis=1)
+    ahead, behind = (middle + tilt).take(BEFORE, axis=1), middle - tilt
     determinant = (a.conj() * b).imag
     determinant[np.abs(determinant) < 0.05] = np.inf
     return np.asarray(1j * (ahead * a - behind * b) / determinant)
@@ -265,13 +275,15 @@ def _side_std(sides: Sides, curves: _Curves, used: FloatArray) -> tuple[FloatArr
     with opposite signs, by its turn: that is how a straight line's ends err independently of each other.
     """
     u = 1.0 / sides.span[:, 0]
-    ends = np.stack((np.ones_like(u), u, u**2), axis=1) @ _POLYNOMIALS
+    powers = np.ones((len(u), 3))
+    powers[:, 1], powers[:, 2] = u, u * u
+    ends = powers @ _POLYNOMIALS
     length = 0.25 * sides.length.sum(axis=1)
     spacing = length * sides.span[:, 0] / (NORMALS - 1)
     alike = np.maximum(CORRELATED_PX / spacing, 1.0)
     place = curves.scatter_px() ** 2 * alike / np.maximum(used, 0.1)
-    shrink = _shrink(sides)
-    bow = 0.25 * (shrink**2).sum(axis=1) * place
-    bow += 0.25 * (((1.0 - shrink) * _bow_std(sides)) ** 2).sum(axis=1)
+    shrink = curves.shrink
+    bow = 0.25 * (shrink * shrink).sum(axis=1) * place
+    bow += 0.25 * (((1.0 - shrink) * curves.bow_std) ** 2).sum(axis=1)
     offset = ends[:, 0] ** 2 * place + ends[:, 2] ** 2 * bow
     return np.sqrt(offset), np.sqrt(ends[:, 1] ** 2 * place)

@@ -45,6 +45,8 @@ _MOMENTS: Final = np.stack((_WINDOW, _WINDOW * _BETWEEN, _WINDOW * _BETWEEN**2))
 # of four corners or sides the one after each, and the one before
 NEXT: Final = np.array((1, 2, 3, 0))
 BEFORE: Final = np.array((3, 0, 1, 2))
+# where a rectangle's left, top, right and bottom edge go when it grows
+_OUTWARDS: Final = np.array((-1.0, -1.0, 1.0, 1.0))
 
 
 def _gains() -> tuple[FloatArray, FloatArray]:
@@ -109,10 +111,10 @@ def decoded(
 ) -> Patches:
     """Decode what lies within so many pixels (m,) of markers: most of an image is none of theirs."""
     rows, columns = image.shape
-    least = (quads.min(axis=1) - margin[:, None]).astype(int).tolist()
-    most = (quads.max(axis=1) + margin[:, None]).astype(int).tolist()
+    bounds = np.concatenate((quads.min(axis=1), quads.max(axis=1)), axis=1)
+    bounds += margin[:, None] * _OUTWARDS
     parts, shift, height, width, whole = [], [], 0, 0, True
-    for (u, v), (last_u, last_v) in zip(least, most, strict=True):
+    for u, v, last_u, last_v in bounds.astype(int).tolist():
         whole &= u >= 0 and v >= 0 and last_u + 2 <= columns and last_v + 2 <= rows
         left, top = min(max(u, 0), columns - 2), min(max(v, 0), rows - 2)
         right, bottom = min(max(last_u, left) + 2, columns), min(max(last_v, top) + 2, rows)
@@ -130,9 +132,9 @@ def places_along(patches: Patches, sides: Sides, reach: FloatArray) -> Places:
     m = len(reach)
     half = 0.5 * sides.length * sides.along
     ways = np.empty((m, 3, 4), np.complex128)
-    ways[:, 0] = sides.start + half + patches.shift
-    ways[:, 1] = sides.span * half
-    ways[:, 2] = reach[:, None] * sides.normal
+    np.add(sides.start + half, patches.shift, out=ways[:, 0])
+    np.multiply(sides.span, half, out=ways[:, 1])
+    np.multiply(reach[:, None], sides.normal, out=ways[:, 2])
     at = (_SAMPLES @ ways.view(np.float64)).astype(np.float32).reshape(-1, 4, 2)
     # one map has both u and v
     none = cast(FloatArray, None)
@@ -150,7 +152,8 @@ def places_along(patches: Patches, sides: Sides, reach: FloatArray) -> Places:
     if not patches.whole:
         contrast = np.where(_within(at, patches), contrast, 0.0)
     mean, square = moments[:, 1:].swapaxes(0, 1) / np.maximum(contrast, 1.0)
-    width = np.sqrt(np.maximum(square - mean * mean, 0.0))
+    square -= mean * mean
+    width = np.sqrt(np.maximum(square, 0.0, out=square), out=square)
     # what moves is blurred along its way, and so are the sides across it
     blur = median(width.swapaxes(1, 2))
     gain = np.maximum(np.interp(blur, _WIDTHS, _GAINS), LEAST_GAIN)
@@ -178,20 +181,20 @@ def median(values: NDArray[np.floating]) -> FloatArray:
 def mean_side(quads: FloatArray) -> FloatArray:
     """Mean length (m,) of the sides of quads (m, 4, 2)."""
     corners = complex_from_pixels(quads)
-    return np.asarray(0.25 * np.abs(corners[:, NEXT] - corners).sum(axis=1))
+    return np.asarray(0.25 * np.abs(corners.take(NEXT, axis=1) - corners).sum(axis=1))
 
 
 def normals(quads: FloatArray) -> ComplexArray:
     """Outward unit normals u + iv (m, 4) of the sides of quads (m, 4, 2)."""
     corners = complex_from_pixels(quads)
-    along = corners[:, NEXT] - corners
+    along = corners.take(NEXT, axis=1) - corners
     return -1j * (along / np.abs(along))
 
 
 def outwards(normal: ComplexArray, by: FloatArray | float) -> FloatArray:
     """How corners (m, 4, 2) move when sides with these normals (m, 4) move outwards by so many (m, 4)."""
     moved = by * normal
-    return pixels_from_complex(moved + moved[:, BEFORE])
+    return pixels_from_complex(moved + moved.take(BEFORE, axis=1))
 
 
 def complex_from_pixels(pixels: FloatArray) -> ComplexArray:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from companion.base.encoding import decoding_table
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig
+from companion.sense.vision.edges import NEXT
 
 # a lens is trusted up to this tangent of the angle to the axis, and farther where its image is wider, but
 # nowhere beyond the angle from which on its polynomial turns back: that would fold the pad into the image
@@ -78,6 +79,7 @@ class Lens:
         )
         self.fisheye = camera.projection == "fisheye"
         self._distortion = np.array(camera.distortion)
+        self._coefficients = self._distortion.tolist()
         self._farthest = self._farthest_tangent()
         self._criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-9)
 
@@ -111,18 +113,19 @@ class Lens:
         depth = points_camera_m[:, 2]
         ideal = points_camera_m[:, :2] / np.maximum(depth, NEAREST_M)[:, None]
         seen = (depth > NEAREST_M) & (np.einsum("ij,ij->i", ideal, ideal) < self._farthest**2)
-        pixels = self._distort(ideal) * self._scale + self._centre
-        return np.where(seen[:, None], pixels, np.nan), depth
+        pixels = self._pixels(ideal)
+        pixels[~seen] = np.nan
+        return pixels, depth
 
     def bows(self, quads: FloatArray) -> FloatArray:
         """How far (m, 4) px outwards a straight side's middle is from between its corners (m, 4, 2) px."""
         rays = self.undistort(quads.reshape(-1, 2)).reshape(-1, 4, 2)
-        middles = 0.5 * (rays + rays[:, (1, 2, 3, 0)])
-        seen = (self._distort(middles.reshape(-1, 2)) * self._scale + self._centre).reshape(-1, 4, 2)
-        across = quads[:, (1, 2, 3, 0)] - quads
-        away = seen - 0.5 * (quads + quads[:, (1, 2, 3, 0)])
-        cross = away[..., 0] * across[..., 1] - away[..., 1] * across[..., 0]
-        return np.asarray(cross / np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0))
+        middles = 0.5 * (rays + rays.take(NEXT, axis=1))
+        after = quads.take(NEXT, axis=1)
+        u, v = (after - quads).reshape(-1, 2).T
+        away = self._pixels(middles.reshape(-1, 2)) - 0.5 * (quads + after).reshape(-1, 2)
+        cross = away[:, 0] * v - away[:, 1] * u
+        return np.asarray(cross / np.maximum(np.sqrt(u * u + v * v), 1.0)).reshape(-1, 4)
 
     def slopes(self, rays: FloatArray) -> FloatArray:
         """How pixels move with rays (n, 2): (n, 2, 2), d pixel / d ray."""
@@ -130,24 +133,31 @@ class Lens:
         apart = [self._distort(rays + step) - self._distort(rays - step) for step in steps]
         return np.asarray(np.stack(apart, axis=2) * self._scale[:, None] / (2.0 * SLOPE_STEP))
 
+    def _pixels(self, ideal: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of ideal image coordinates (n, 2)."""
+        pixels = self._distort(ideal)
+        pixels *= self._scale
+        pixels += self._centre
+        return pixels
+
     def _distort(self, ideal: FloatArray) -> FloatArray:
-        if self.fisheye:
-            return ideal * radial_factor(self._distortion.tolist(), (ideal * ideal).sum(axis=1))[:, None]
-        _, _, p1, p2, *_ = self._distortion.tolist()
-        x, y = ideal[:, 0], ideal[:, 1]
-        r2 = x * x + y * y
-        radial = radial_factor(self._distortion.tolist(), r2)
-        return np.column_stack(
-            (
-                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-            )
-        )
+        x, y = ideal.T
+        xx, yy = x * x, y * y
+        r2 = xx + yy
+        distorted = ideal * radial_factor(self._coefficients, r2)[:, None]
+        if not self.fisheye:
+            _, _, p1, p2, *_ = self._coefficients
+            by_x, by_y = distorted.T
+            by_x += 2.0 * p1 * x * y
+            by_x += p2 * (r2 + 2.0 * xx)
+            by_y += p1 * (r2 + 2.0 * yy)
+            by_y += 2.0 * p2 * x * y
+        return distorted
 
     def _farthest_tangent(self) -> float:
         """Up to where the calibration means something."""
         tangents = np.arange(0.0, WIDEST_TANGENT, TANGENT_STEP)
-        images = tangents * radial_factor(self._distortion.tolist(), tangents**2)
+        images = tangents * radial_factor(self._coefficients, tangents**2)
         corners = np.array([(u, v) for u in (0, self.size_px[0]) for v in (0, self.size_px[1])])
         reach = np.linalg.norm((corners - self._centre) / self._scale, axis=1).max()
         turns_back = np.append(np.flatnonzero(np.diff(images) <= 0.0), len(tangents) - 1)[0]

@@ -128,7 +128,7 @@ class Vision:
         if pose is None:
             return None
         sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
-        return VisionResult(sighting, count_groups(pose.used), everywhere, pose.used, tuple(found))
+        return VisionResult(sighting, sighting.marker_count, everywhere, pose.used, tuple(found))
 
     def pixels(self, points_body_m: FloatArray) -> FloatArray:
         """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""
@@ -224,4 +224,5 @@ def turn_covariance(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
 
 def count_groups(detections: tuple[Detection, ...]) -> dict[MarkerGroup, int]:
     """How many markers of each group."""
-    return {group: sum(d.marker.group == group for d in detections) for group in GROUPS}
+    groups = [d.marker.group for d in detections]
+    return {group: groups.count(group) for group in GROUPS}

@@ -448,14 +448,17 @@ def _linearised(
     seen = place[:2] * inverse
     a, b, c = turned * inverse
     by = np.zeros((12 + common, 2, len(inverse)))
+    back = -seen
     by[0, 0] = by[1, 1] = inverse
-    by[2] = -seen * inverse
+    np.multiply(back, inverse, out=by[2])
     # a small turn moves a point by turn x point, so a ray's rotation part is point x (its position part)
-    by[3], by[4] = -seen * b, seen * a
+    np.multiply(back, b, out=by[3])
+    np.multiply(seen, a, out=by[4])
     by[3, 1] -= c
     by[4, 0] += c
-    by[5, 0], by[5, 1] = -b, a
-    by[6:12] = by[:6] * delay
+    np.negative(b, out=by[5, 0])
+    by[5, 1] = a
+    np.multiply(by[:6], delay, out=by[6:12])
     by[12:] = problem.shared
     jacobian = by.reshape(12 + common, -1)
     return jacobian, (problem.rays.T - seen).reshape(-1) - moved[6:] @ jacobian[12:]
@@ -474,6 +477,6 @@ def _normal_equations(
         axis, weight = rotation[:, 2], problem.level_sigma**-2
         information[3:6, 3:6] += weight * (EYE3 - axis[:, None] * axis)
         gradient[3:6] += weight * np.array(cross(vector3(axis), vector3(problem.down)))
-    np.einsum("ii->i", information)[6:] += problem.weight
+    information.reshape(-1)[6 * len(information) + 6 :: len(information) + 1] += problem.weight
     gradient[6:] -= problem.weight * unexpected
     return information, gradient

@@ -8,6 +8,7 @@ depend on a single group.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -53,7 +54,7 @@ class SearchPlanner:
         self._config = config
         self._middle = 0.5 * np.array(lens.size_px)
         self._far = np.tile(lens.size_px, 4) - EDGE_PX
-        self._corners = np.array([marker.corners_pad_m() for marker in pad.markers])
+        self._points = np.array([marker.corners_pad_m() for marker in pad.markers]).reshape(-1, 3)
         self._members = {g: np.array([m.group == g for m in pad.markers]) for g in GROUPS}
         self._cells = {g: max((m.cells for m in pad.markers if m.group == g), default=1) for g in GROUPS}
         self._finest_m = min((m.side_m / m.cells for m in pad.markers), default=0.0)
@@ -110,8 +111,7 @@ class SearchPlanner:
         distance = float(np.linalg.norm(pad_position_camera_m))
         if position_std_m > VAGUE * distance:
             return ()
-        points = self._corners.reshape(-1, 3) @ camera_from_pad.T + pad_position_camera_m
-        pixels, depth = self._lens.project(points)
+        pixels, depth = self._lens.project(self._points @ camera_from_pad.T + pad_position_camera_m)
         nearest = max(float(depth.min()), 0.05)
         margin = REGION_MARGIN_SIGMA * position_std_m * self._lens.focal_px / nearest
         pixels = pixels.reshape(-1, 4, 2)
@@ -140,20 +140,17 @@ class SearchPlanner:
         return (replace(look, enlarge=ENLARGED),)
 
     def _views(self, pixels: FloatArray, slack_px: float) -> list[_View]:
-        views = (self._view(group, pixels, slack_px) for group in GROUPS)
+        flat = pixels.reshape(-1, 8)
+        inside = ((flat > EDGE_PX - slack_px) & (flat < self._far + slack_px)).all(axis=1)
+        views = (self._view(group, pixels[inside & self._members[group]]) for group in GROUPS)
         return [view for view in views if view is not None]
 
-    def _view(self, group: MarkerGroup, pixels: FloatArray, slack_px: float) -> _View | None:
-        """The group's readable markers: whole in the image, to so many pixels, and large enough."""
-        corners = pixels[self._members[group]]
-        flat = corners.reshape(-1, 8)
-        inside = ((flat > EDGE_PX - slack_px) & (flat < self._far + slack_px)).all(axis=1)
-        whole = corners[inside]
+    def _view(self, group: MarkerGroup, whole: FloatArray) -> _View | None:
+        """The group's readable markers, of those that are whole in the image: the large enough."""
         if len(whole) == 0:
             return None
-        top = whole[:, 1] - whole[:, 0]
-        sides = np.sort(np.sqrt((top**2).sum(axis=1)))
-        side = float(sides[len(sides) // 2])
+        u, v = (whole[:, 1] - whole[:, 0]).T
+        side = sorted(np.sqrt(u * u + v * v).tolist())[len(whole) // 2]
         if side < self._config.minimum_side_px:
             return None
         return _View(group, whole, side, side / self._cells[group])
@@ -166,12 +163,12 @@ class SearchPlanner:
             near = near[np.argsort(away, kind="stable")[:most]]
         margin = margin_px + 0.2 * view.side_px
         near = near.reshape(-1, 2)
-        low = np.floor(near.min(axis=0) - margin).astype(int).clip(0)
-        high = np.ceil(near.max(axis=0) + margin).astype(int) + 1
+        (left, top), (right, bottom) = near.min(axis=0).tolist(), near.max(axis=0).tolist()
+        left, top = max(math.floor(left - margin), 0), max(math.floor(top - margin), 0)
         width, height = self._lens.size_px
+        right, bottom = min(math.ceil(right + margin) + 1, width), min(math.ceil(bottom + margin) + 1, height)
         shrink = next((s for s in SHRINKINGS if view.cell_px >= CELL_PX * s), 1)
-        right, bottom = min(int(high[0]), width), min(int(high[1]), height)
-        return SearchPass(int(low[0]), int(low[1]), right, bottom, shrink, (view.group,))
+        return SearchPass(left, top, right, bottom, shrink, (view.group,))
 
 
 def _both(a: SearchPass, b: SearchPass) -> SearchPass:
