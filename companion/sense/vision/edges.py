@@ -121,9 +121,11 @@ def decoded(
         parts.append((image[top:bottom, left:right], height))
         shift.append(complex(-left, height - top))
         height, width = height + bottom - top, max(width, right - left)
-    seen = np.zeros((height, width), np.float32)
+    grey = np.zeros((height, width), np.uint8)
     for part, top in parts:
-        cv2.LUT(part, light, seen[top : top + part.shape[0], : part.shape[1]])
+        grey[top : top + part.shape[0], : part.shape[1]] = part
+    # all at once: each call of OpenCV's lets another thread have the interpreter
+    seen = np.asarray(cv2.LUT(grey, light), np.float32)
     return Patches(seen, np.array(shift)[:, None], (columns, rows), float(light[FULL_GREY]), whole)
 
 

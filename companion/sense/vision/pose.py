@@ -45,6 +45,7 @@ from companion.base.geometry import (
 )
 from companion.config import VisionConfig
 from companion.sense.vision.aruco import Detection
+from companion.sense.vision.edges import ComplexArray, normals
 from companion.sense.vision.lens import NEAREST_M, Lens
 from companion.sense.vision.pose_noise import (
     corner_covariance_px2,
@@ -222,10 +223,11 @@ def _problem(
     vibrating, rays = vibration(delay_s), lens.undistort(pixels)
     slopes = lens.slopes(rays) if lens.fisheye else None
     shrunk_px = np.array([edge_std_px(d) for d in detections])
+    normal = normals((rays if slopes is None else pixels).reshape(-1, 4, 2))
     if slopes is None:
-        shrunk = shrinking(rays, shrunk_px / lens.focal_px)
+        shrunk = shrinking(normal, shrunk_px / lens.focal_px)
     else:
-        shrunk = np.asarray(np.linalg.solve(slopes, shrinking(pixels, shrunk_px)[..., None])[..., 0], float)
+        shrunk = np.asarray(np.linalg.solve(slopes, shrinking(normal, shrunk_px)[..., None])[..., 0], float)
     speed = config.relative_speed_std_m_s
     climb = math.hypot(_climb_std_m_s(detections, lens, config), climb_m_s)
     spread = [speed, speed, climb] + [config.turn_rate_std_rad_s] * 3
@@ -236,7 +238,7 @@ def _problem(
         row_px=row_px,
         delay_s=delay_s,
         down=None if down_camera is None else np.array(down_camera),
-        whitening=_whitening(detections, rays, slopes, lens, config),
+        whitening=_whitening(detections, normal, slopes, lens, config),
         level_sigma=math.radians(config.tilt_std_deg),
         shared=np.concatenate((vibrating.T.reshape(-1, 2, len(rays)), shrunk.T[None])),
         weight=np.array(spread) ** -2,
@@ -248,19 +250,22 @@ def _problem(
 
 def _whitening(
     detections: list[Detection],
-    rays: FloatArray,
+    normal: ComplexArray,
     slopes: FloatArray | None,
     lens: Lens,
     config: VisionConfig,
 ) -> FloatArray:
-    """By what each marker's sides, or its whole print, say of how its corners err in the image."""
+    """By what each marker's sides, or its whole print, say of how its corners err in the image.
+
+    `normal` (m, 4) are the sides' normals: of the rays, or with `slopes` of the pixels.
+    """
     sigma = np.array([side_noise_px(d, config) for d in detections])
     covariances = [corner_covariance_px2(d, config) for d in detections]
     if slopes is None:
         scaled = [None if each is None else each / lens.focal_px**2 for each in covariances]
-        return whitening(rays, sigma / lens.focal_px, scaled)
-    n = len(rays)
-    white = whitening(np.concatenate([d.corners_px for d in detections]), sigma, covariances)
+        return whitening(normal, sigma / lens.focal_px, scaled)
+    n = normal.size
+    white = whitening(normal, sigma, covariances)
     in_u, in_v = white[:, :n], white[:, n:]
     return np.hstack([in_u * slopes[:, 0, k] + in_v * slopes[:, 1, k] for k in (0, 1)])
 

@@ -16,7 +16,7 @@ import numpy as np
 from companion.base.geometry import FloatArray
 from companion.config import VisionConfig
 from companion.sense.vision.aruco import STRAIGHT_SHARE, Detection
-from companion.sense.vision.edges import NEXT, normals, outwards, pixels_from_complex
+from companion.sense.vision.edges import NEXT, ComplexArray, outwards, pixels_from_complex
 
 # how far all sides of all markers may lie too far in or out: black and white blur unlike
 EDGE_STD_PX: Final = 0.006
@@ -44,17 +44,17 @@ def edge_std_px(detection: Detection) -> list[float]:
 
 
 def whitening(
-    rays: FloatArray, sigma: FloatArray, covariances: Sequence[FloatArray | None] = ()
+    normal: ComplexArray, sigma: FloatArray, covariances: Sequence[FloatArray | None] = ()
 ) -> FloatArray:
     """What makes the rays' errors independent and of unit variance: (2n, 2n), rows of all u, then of all v.
 
-    Corners are where sides meet, and the sides are what is measured: what both ends of one are off by, and
-    what they are off by with opposite signs, err independently by `sigma` (m, 2), that of a side as a whole
-    and that of its ends by its turn. Markers that have a covariance of their corners (8, 8), u and v of each
-    in turn, err by that.
+    Corners are where sides meet, and the sides, with these normals (m, 4), are what is measured: what both
+    ends of one are off by, and what they are off by with opposite signs, err independently by `sigma` (m, 2),
+    that of a side as a whole and that of its ends by its turn. Markers that have a covariance of their
+    corners (8, 8), u and v of each in turn, err by that.
     """
     m, k = len(sigma), np.arange(len(sigma))
-    across = pixels_from_complex(normals(rays.reshape(-1, 4, 2)))[:, :, None, :, None]
+    across = pixels_from_complex(normal)[:, :, None, :, None]
     white = np.zeros((m, 8, 2, m, 4))  # marker, side and kind | direction, marker, corner
     white[k, :, :, k] = (_ENDS * across / sigma[:, None, :, None, None]).reshape(m, 8, 2, 4)
     for number, covariance in enumerate(covariances):
@@ -70,9 +70,9 @@ def corner_covariance_px2(detection: Detection, config: VisionConfig) -> FloatAr
     return None if shown is None else shown + config.corner_noise_px**2 * np.eye(len(shown))
 
 
-def shrinking(rays: FloatArray, std: FloatArray) -> FloatArray:
-    """How each ray (n, 2) moves when all sides (m, 4) lie in by one standard deviation of theirs."""
-    return outwards(normals(rays.reshape(-1, 4, 2)), -std).reshape(-1, 2)
+def shrinking(normal: ComplexArray, std: FloatArray) -> FloatArray:
+    """How each ray (n, 2) moves when all sides, of normals (m, 4), lie in by a standard deviation (m, 4)."""
+    return outwards(normal, -std).reshape(-1, 2)
 
 
 def unseen_m2(distance_m: float, delay_s: FloatArray, focal_px: float) -> float:

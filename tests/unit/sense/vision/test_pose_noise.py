@@ -8,6 +8,7 @@ import pytest
 from companion.config import VisionConfig
 from companion.pad import Pad
 from companion.sense.vision.aruco import Detection
+from companion.sense.vision.edges import normals
 from companion.sense.vision.pose_noise import side_noise_px, vibration, whitening
 
 
@@ -24,7 +25,7 @@ def test_errors_of_sides_are_white_after_whitening() -> None:
         offset, turn = rng.normal(0.0, 0.03, 4), rng.normal(0.0, 0.01, 4)
         # a corner is off by what the side that it starts and the one that it ends are
         misses = (offset - turn)[:, None] * outward + np.roll((offset + turn)[:, None] * outward, 1, axis=0)
-        white.append(whitening(rays, sigma) @ misses.T.reshape(-1))
+        white.append(whitening(normals(rays[None]), sigma) @ misses.T.reshape(-1))
     assert np.cov(np.array(white).T) == pytest.approx(np.eye(8), abs=0.08)
 
 
