@@ -19,7 +19,8 @@ from companion.config import ConfigError
 from companion.sense.camera.health import CameraHealth, Patience
 from companion.sense.camera.reader import EndOfFrames, Newest, OpeningHangs, ReadBack
 
-WATCH_S: Final = 0.02
+# the usual camera's frames come sooner: while all is well, nothing else wakes the watch
+WATCH_S: Final = 0.04
 LETTING_GO_S: Final = 1.5  # for a driver's thread to end, before the device is opened all the same
 FIRST_PAUSE_S: Final = 0.25
 LONGEST_PAUSE_S: Final = 1.0
