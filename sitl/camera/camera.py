@@ -41,11 +41,10 @@ from companion.pad import Pad
 from sitl.camera.exposure import (
     AutoExposure,
     ImagingSettings,
+    NoiseBank,
     add_light,
     levelled,
     motion_blur,
-    noise_bank,
-    noise_std_grey,
     response,
     through,
     vignette,
@@ -163,7 +162,6 @@ class CameraModel:
         self._instants = instants
         self._finer = finer
         self._settings = settings
-        self._rng = rng
         self.position_body_m = vehicle.camera_position_body_m
         self.body_from_camera = mounted_camera(vehicle, mount_error_deg)
         self._camera_attitude = quat_from_matrix(self.body_from_camera)
@@ -189,7 +187,7 @@ class CameraModel:
         self._set_exposure(exposure_s)
         self._encoded = encoding_table(camera.encoding)
         self._vignette = vignette(camera, settings, dirt_rng)
-        self._noise = noise_bank(camera, settings.noise_grey, rng)
+        self._noise = NoiseBank(camera, settings.noise_grey, rng) if settings.noise_grey else None
 
     def clear_faults(self) -> None:
         """The board is there with its own print, in its own size; a second pad has its own end."""
@@ -262,9 +260,15 @@ class CameraModel:
             image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         glow = None
         if self._metering is not None:
-            inside = None if pad_map is None else within_board(pad_map, pad.level.image.shape)
-            image, glow = self._lit(image, scenes[self._instants // 2], time_s, inside)
-        return self._expose(self._through_lens(image, seen, part), glow)
+            scene = scenes[self._instants // 2]
+            ned_from_camera = matrix_from_quat(scene.vehicle_attitude) @ self.body_from_camera
+            self._shade(image, scene, ned_from_camera, time_s)
+            if part is not None and pad_map is not None:
+                normal = quat_rotate(_pad_attitude(scene), (0.0, 0.0, 1.0))
+                inside = within_board(pad_map, pad.level.image.shape)
+                glow = self._light.glow(ned_from_camera, normal, inside, part)
+        image = self._through_lens(image, seen, part)
+        return self._expose(image, glow, part)
 
     def _draw_twin(self, image: GreyImage, twin: _Surface) -> None:
         nodes = self._node_map(twin) if twin.height_m > 0.0 else None
@@ -272,21 +276,14 @@ class CameraModel:
         if nodes is not None and part is not None:
             self._draw(image, twin, nodes, part)
 
-    def _lit(
-        self, image: GreyImage, scene: ScenePose, time_s: float, inside: FloatArray | None
-    ) -> tuple[GreyImage, NDArray[np.float32] | None]:
-        """The picture with its shade, and apart from it the sun's image in the board: that is too bright."""
-        ned_from_camera = matrix_from_quat(scene.vehicle_attitude) @ self.body_from_camera
+    def _shade(self, image: GreyImage, scene: ScenePose, ned_from_camera: FloatArray, time_s: float) -> None:
+        """Darken what lies in shade."""
         lever = quat_rotate(scene.vehicle_attitude, self.position_body_m)
         away = subtract(add(scene.vehicle_position_ned_m, lever), scene.pad_position_ned_m)
         shade = self._light.shade(ned_from_camera, away, time_s)
         if shade is not None:
             rows, columns = image.shape
             cv2.multiply(image, shade[:rows, :columns], dst=image, scale=1.0 / 255.0)
-        if inside is None:
-            return image, None
-        normal = quat_rotate(_pad_attitude(scene), (0.0, 0.0, 1.0))
-        return image, self._light.glow(ned_from_camera, normal, inside)
 
     def _surface(
         self,
@@ -324,8 +321,9 @@ class CameraModel:
     def _node_map(self, surface: _Surface) -> FloatArray:
         """Texture coordinates (2, rows, columns) of the mesh's nodes, each row at its own time."""
         rows = (self._pose_weights @ surface.texel_from_ray.reshape(-1, 9)).reshape(-1, 3, 3)
-        places = (rows @ self._rays_by_row).swapaxes(0, 1)
-        nodes: FloatArray = np.multiply(places[:2], 1.0 / np.maximum(places[2], HORIZON), order="C")
+        places = np.empty((3, len(rows), self._rays_by_row.shape[2]))
+        np.matmul(rows, self._rays_by_row, out=places.swapaxes(0, 1))
+        nodes: FloatArray = places[:2] * (1.0 / np.maximum(places[2], HORIZON))
         return nodes
 
     def _set_exposure(self, exposure_s: float) -> None:
@@ -347,11 +345,10 @@ class CameraModel:
         if part is None:  # the ground: start in the first copy of the tile
             period = tile.shape[0] // 2
             mesh = mesh - np.floor(mesh.min(axis=(1, 2), keepdims=True) / period) * period
-        mesh = mesh.transpose(1, 2, 0).astype(np.float32, order="C")
-        np.clip(mesh, -FARTHEST_TEXEL, FARTHEST_TEXEL, out=mesh)
+        u, v = mesh.astype(np.float32).clip(-FARTHEST_TEXEL, FARTHEST_TEXEL)
         cell = NODE_PX * self._finer
-        size = (mesh.shape[1] * cell, mesh.shape[0] * cell)
-        full = cv2.resize(mesh, size, interpolation=cv2.INTER_LINEAR)
+        size = (u.shape[1] * cell, u.shape[0] * cell)
+        full = cv2.resize(cv2.merge((u, v)), size, interpolation=cv2.INTER_LINEAR)
         view = image[top * cell : bottom * cell, left * cell : right * cell]
         texels = full[cell : cell + view.shape[0], cell : cell + view.shape[1]]
         border = cv2.BORDER_WRAP if part is None else cv2.BORDER_TRANSPARENT
@@ -369,33 +366,29 @@ class CameraModel:
             cv2.multiply(image, self._vignette, dst=image, scale=self._settings.gain / 255.0)
         return image
 
-    def _expose(self, image: GreyImage, glow: NDArray[np.float32] | None) -> GreyImage:
-        """The grey values that the sensor makes of the light; without a light of the scenario's, as it is."""
+    def _expose(self, image: GreyImage, glow: NDArray[np.float32] | None, part: Part | None) -> GreyImage:
+        """The grey values that the sensor makes of the light; without a light of the scenario's, as it is.
+
+        `glow` is the sun's image in a part of the picture: it is too bright to be drawn with the rest.
+        """
         metering = self._metering
         if metering is None:
-            return self._noisy(through(self._encoded, image), 1.0)
+            image = through(self._encoded, image)
+            return image if self._noise is None else self._noise.added(image)
         image = through(response(metering.brightness, self._light.veil), image)
-        if glow is not None:
-            rows, columns = image.shape
-            image = add_light(image, glow[:rows, :columns] * (PAD_WHITE * metering.brightness))
+        if glow is not None and part is not None:
+            view = image[part[0] * NODE_PX :, part[2] * NODE_PX :][: glow.shape[0], : glow.shape[1]]
+            rows, columns = view.shape
+            add_light(view, glow[:rows, :columns] * (PAD_WHITE * metering.brightness))
         # it is light that is metered
         gain = metering.now.gain
         metering.look(image)
         self._set_exposure(metering.now.exposure_s)
-        white_std_grey = self._settings.noise_grey
-        if white_std_grey == 0.0:
+        if self._noise is None:
             return through(self._encoded, image)
-        there, back, std_grey = levelled(noise_std_grey(white_std_grey, gain), self._camera.encoding)
-        return through(back, self._noisy(through(there, image), std_grey / white_std_grey))
-
-    def _noisy(self, image: GreyImage, factor: float) -> GreyImage:
-        """Noise of the bank's strength times a factor."""
-        if self._noise is not None:
-            rows, columns = image.shape
-            y, x = self._rng.integers(0, (rows, columns))
-            noise = self._noise[y : y + rows, x : x + columns]
-            cv2.addWeighted(image, 1.0, noise, factor, -128.0 * factor, dst=image)
-        return image
+        white_std_grey = self._settings.noise_grey
+        there, back, std_grey = levelled(white_std_grey, gain, self._camera.encoding)
+        return through(back, self._noise.added_times(std_grey / white_std_grey, through(there, image)))
 
     def _defocus_px(self, distance_m: float) -> float:
         """Standard deviation of the blur: the lens's own, and the circle of confusion (diameter / 4)."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from functools import lru_cache
+from typing import Final, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from companion.base.encoding import Encoding, grey_of_light
+from companion.base.encoding import grey_of_light
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, StrictModel
 from sitl.camera.light import LightSettings
@@ -164,12 +165,35 @@ def _transmission(camera: CameraConfig, dirt: DirtSettings, rng: np.random.Gener
     return clear
 
 
-def noise_bank(camera: CameraConfig, noise_grey: float, rng: np.random.Generator) -> GreyImage | None:
-    """Noise about 128, four images large: each frame takes a window at a random place."""
-    if noise_grey == 0.0:
-        return None
-    noise = rng.normal(128.0, noise_grey, (2 * camera.height_px, 2 * camera.width_px))
-    return np.asarray(np.rint(noise).clip(0, 255), dtype=np.uint8)
+class NoiseBank:
+    """Noise of one strength, four images large: each picture takes a window of it at a random place."""
+
+    def __init__(self, camera: CameraConfig, noise_grey: float, rng: np.random.Generator) -> None:
+        """`noise_grey` is its standard deviation; `rng` draws it, and each picture's window."""
+        self._rng = rng
+        noise = rng.normal(128.0, noise_grey, (2 * camera.height_px, 2 * camera.width_px))
+        self._about_128 = np.asarray(np.rint(noise).clip(0, 255), dtype=np.uint8)
+        # sums of bytes that saturate cost a third of a weighted sum
+        self._brighter = np.maximum(self._about_128, 128) - 128
+        self._darker = 128 - np.minimum(self._about_128, 128)
+
+    def added(self, image: GreyImage) -> GreyImage:
+        """The image (rows, columns) itself, with noise."""
+        window = self._window(image)
+        cv2.add(image, self._brighter[window], dst=image)
+        cv2.subtract(image, self._darker[window], dst=image)
+        return image
+
+    def added_times(self, factor: float, image: GreyImage) -> GreyImage:
+        """The same with noise so many times as strong."""
+        noise = self._about_128[self._window(image)]
+        cv2.addWeighted(image, 1.0, noise, factor, -128.0 * factor, dst=image)
+        return image
+
+    def _window(self, image: GreyImage) -> tuple[slice, slice]:
+        rows, columns = image.shape
+        y, x = self._rng.integers(0, (rows, columns)).tolist()
+        return slice(y, y + rows), slice(x, x + columns)
 
 
 RIGHT_EXPOSURE_LUX_S: Final = 10.0
@@ -232,12 +256,15 @@ def noise_std_grey(white_std_grey: float, gain: float) -> FloatArray:
     return np.asarray(white_std_grey * np.sqrt(DARK_SHARE * gain**2 + shot))
 
 
-def levelled(std_grey: FloatArray, encoding: Encoding = "linear") -> tuple[GreyImage, GreyImage, float]:
+@lru_cache(maxsize=1)  # in daylight the gain stays
+def levelled(
+    white_std_grey: float, gain: float, encoding: Literal["srgb", "linear"] | tuple[float, ...] = "linear"
+) -> tuple[GreyImage, GreyImage, float]:
     """Tables (256,) to a scale on which the noise is the same everywhere, and from it to encoded grey values.
 
-    And how much the noise is there.
+    And how much the noise is there; it is `noise_std_grey` off it.
     """
-    slope = 1.0 / std_grey
+    slope = 1.0 / noise_std_grey(white_std_grey, gain)
     scale = np.concatenate(([0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]))))
     stretch = 255.0 / scale[-1]
     there = np.rint(scale * stretch)
@@ -249,6 +276,6 @@ def through(table: GreyImage, image: GreyImage) -> GreyImage:
     return np.asarray(cv2.LUT(image, table), dtype=np.uint8)
 
 
-def add_light(image: GreyImage, light_grey: NDArray[np.float32]) -> GreyImage:
-    """More light, up to what the sensor holds."""
-    return np.asarray(cv2.add(image, np.asarray(light_grey.clip(0.0, 255.0), np.uint8)), dtype=np.uint8)
+def add_light(image: GreyImage, light_grey: NDArray[np.float32]) -> None:
+    """More light (rows, columns), not negative, up to what the sensor holds."""
+    cv2.add(image, np.minimum(light_grey, 255.0).astype(np.uint8), dst=image)

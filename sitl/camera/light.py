@@ -17,7 +17,7 @@ from pydantic import Field
 
 from companion.base.geometry import FloatArray, Vector3
 from companion.config import StrictModel
-from sitl.camera.mesh import HORIZON, pixels_of
+from sitl.camera.mesh import HORIZON, Part, nodes_of, pixels_of
 from sitl.camera.textures import GreyImage
 from sitl.pad.paths import Angle, drawn_angle
 
@@ -100,23 +100,27 @@ class LightInView:
         reach = -camera_from_pad_ned_m[2] / np.maximum(rays[..., 2:], HORIZON)
         places = rays[..., :2] * reach + camera_from_pad_ned_m[:2]
         lit = self._lit(shadow, places, time_s)
-        return np.asarray(pixels_of(255.0 * lit).clip(0.0, 255.0), dtype=np.uint8)
+        return np.asarray(pixels_of(255.0 * lit), dtype=np.uint8)  # between nodes it is between theirs
 
     def glow(
-        self, ned_from_camera: FloatArray, normal_ned: Vector3, inside: FloatArray
+        self, ned_from_camera: FloatArray, normal_ned: Vector3, inside: FloatArray, part: Part
     ) -> NDArray[np.float32] | None:
-        """The sun's image in the board, of a white sheet's light, at each pixel; None: there is none.
+        """The sun's image in the board, of a white sheet's light, at each pixel of a part of the picture.
+
+        None: there is none.
 
         Args:
             ned_from_camera: rotation (3, 3).
             normal_ned: of the board.
             inside: how far within the board each node (rows, columns) is, negative outside.
+            part: the rectangle of mesh cells that may show the board.
         """
         glare = self._glare
         if glare is None:
             return None
         light = self._mirrored(glare, self._unit_rays @ ned_from_camera.T, normal_ned)
-        return np.where(pixels_of(inside) > 0.0, pixels_of(light), np.float32(0.0))
+        nodes = nodes_of(part)
+        return pixels_of(light[nodes]) * (pixels_of(inside[nodes]) > 0.0)
 
     def _lit(self, shadow: ShadowSettings, north_east_m: FloatArray, time_s: float) -> FloatArray:
         """Share of the light (...) at places (..., 2) relative to the pad's centre."""

@@ -60,6 +60,12 @@ def pixels_of(nodes: FloatArray) -> NDArray[np.float32]:
     return np.asarray(full[NODE_PX:-NODE_PX, NODE_PX:-NODE_PX])
 
 
+def nodes_of(part: Part) -> tuple[slice, slice]:
+    """The mesh's rows and columns that its cells lie between."""
+    top, bottom, left, right = part
+    return slice(top, bottom + 2), slice(left, right + 2)
+
+
 def within_board(nodes: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """How many texels (rows, columns) each of the nodes (2, rows, columns) is within a board's edge.
 

@@ -405,7 +405,7 @@ def test_too_much_light_for_a_fixed_exposure_saturates() -> None:
 def test_noise_is_constant_on_the_levelled_scale_and_as_strong_as_asked_for_off_it() -> None:
     std = noise_std_grey(3.0, 8.0)
     assert noise_std_grey(3.0, 1.0)[222] == pytest.approx(3.0)
-    there, back, level = levelled(std)
+    there, back, level = levelled(3.0, 8.0)
     noise = np.random.default_rng(1).normal(0.0, level, 40_000)
     for grey in (40, 100, 180):
         noisy = np.rint(there[grey] + noise).clip(0, 255).astype(np.uint8)
