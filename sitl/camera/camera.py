@@ -220,10 +220,12 @@ class CameraModel:
         Returns:
             (height, width) grey image.
         """
-        return self.expose(time_s, scene_at)()
+        image = self.blank()
+        self.expose(time_s, scene_at)(image)
+        return image
 
-    def expose(self, time_s: float, scene_at: Callable[[float], ScenePose]) -> Callable[[], GreyImage]:
-        """Look at the scene for one picture, as `render` does; what is returned draws it.
+    def expose(self, time_s: float, scene_at: Callable[[float], ScenePose]) -> Callable[[GreyImage], None]:
+        """Look at the scene for one picture, as `render` does; what is returned draws it into a blank one.
 
         It reads no world: it may run beside. To be called once, before the next is exposed.
         """
@@ -240,11 +242,18 @@ class CameraModel:
         return partial(self._picture, time_s, scenes, pad, twin, shown=shown)
 
     def _picture(
-        self, time_s: float, scenes: list[ScenePose], pad: _Surface, twin: _Surface | None, *, shown: bool
-    ) -> GreyImage:
+        self,
+        time_s: float,
+        scenes: list[ScenePose],
+        pad: _Surface,
+        twin: _Surface | None,
+        out: GreyImage,
+        *,
+        shown: bool,
+    ) -> None:
         grounds = [(ZERO3, IDENTITY)] * self._instants
-        size = (self._camera.width_px, self._camera.height_px)
-        image = np.empty((size[1] * self._finer, size[0] * self._finer), np.uint8)
+        rows, columns = out.shape
+        image = out if self._finer == 1 else np.empty((rows * self._finer, columns * self._finer), np.uint8)
         pad_map = self._node_map(pad) if shown else None
         part = None if pad_map is None else visible_part(pad_map, pad.level.image.shape)
         seen = pad
@@ -257,18 +266,17 @@ class CameraModel:
         if part is not None and pad_map is not None:
             self._draw(image, pad, pad_map, part)
         if self._finer > 1:
-            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+            cv2.resize(image, (columns, rows), dst=out, interpolation=cv2.INTER_AREA)
         glow = None
         if self._metering is not None:
             scene = scenes[self._instants // 2]
             ned_from_camera = matrix_from_quat(scene.vehicle_attitude) @ self.body_from_camera
-            self._shade(image, scene, ned_from_camera, time_s)
+            self._shade(out, scene, ned_from_camera, time_s)
             if part is not None and pad_map is not None:
                 normal = quat_rotate(_pad_attitude(scene), (0.0, 0.0, 1.0))
                 inside = within_board(pad_map, pad.level.image.shape)
                 glow = self._light.glow(ned_from_camera, normal, inside, part)
-        image = self._through_lens(image, seen, part)
-        return self._expose(image, glow, part)
+        self._expose(self._through_lens(out, seen, part), glow, part, out)
 
     def _draw_twin(self, image: GreyImage, twin: _Surface) -> None:
         nodes = self._node_map(twin) if twin.height_m > 0.0 else None
@@ -366,29 +374,36 @@ class CameraModel:
             cv2.multiply(image, self._vignette, dst=image, scale=self._settings.gain / 255.0)
         return image
 
-    def _expose(self, image: GreyImage, glow: NDArray[np.float32] | None, part: Part | None) -> GreyImage:
+    def _expose(
+        self, light: GreyImage, glow: NDArray[np.float32] | None, part: Part | None, out: GreyImage
+    ) -> None:
         """The grey values that the sensor makes of the light; without a light of the scenario's, as it is.
 
         `glow` is the sun's image in a part of the picture: it is too bright to be drawn with the rest.
         """
         metering = self._metering
         if metering is None:
-            image = through(self._encoded, image)
-            return image if self._noise is None else self._noise.added(image)
-        image = through(response(metering.brightness, self._light.veil), image)
+            through(self._encoded, light, out)
+            if self._noise is not None:
+                self._noise.add(out)
+            return
+        through(response(metering.brightness, self._light.veil), light, out)
         if glow is not None and part is not None:
-            view = image[part[0] * NODE_PX :, part[2] * NODE_PX :][: glow.shape[0], : glow.shape[1]]
+            view = out[part[0] * NODE_PX :, part[2] * NODE_PX :][: glow.shape[0], : glow.shape[1]]
             rows, columns = view.shape
             add_light(view, glow[:rows, :columns] * (PAD_WHITE * metering.brightness))
         # it is light that is metered
         gain = metering.now.gain
-        metering.look(image)
+        metering.look(out)
         self._set_exposure(metering.now.exposure_s)
         if self._noise is None:
-            return through(self._encoded, image)
+            through(self._encoded, out, out)
+            return
         white_std_grey = self._settings.noise_grey
         there, back, std_grey = levelled(white_std_grey, gain, self._camera.encoding)
-        return through(back, self._noise.added_times(std_grey / white_std_grey, through(there, image)))
+        through(there, out, out)
+        self._noise.add_times(std_grey / white_std_grey, out)
+        through(back, out, out)
 
     def _defocus_px(self, distance_m: float) -> float:
         """Standard deviation of the blur: the lens's own, and the circle of confusion (diameter / 4)."""

@@ -177,18 +177,16 @@ class NoiseBank:
         self._brighter = np.maximum(self._about_128, 128) - 128
         self._darker = 128 - np.minimum(self._about_128, 128)
 
-    def added(self, image: GreyImage) -> GreyImage:
-        """The image (rows, columns) itself, with noise."""
+    def add(self, image: GreyImage) -> None:
+        """Noise to an image (rows, columns)."""
         window = self._window(image)
         cv2.add(image, self._brighter[window], dst=image)
         cv2.subtract(image, self._darker[window], dst=image)
-        return image
 
-    def added_times(self, factor: float, image: GreyImage) -> GreyImage:
-        """The same with noise so many times as strong."""
+    def add_times(self, factor: float, image: GreyImage) -> None:
+        """The same, so many times as strong."""
         noise = self._about_128[self._window(image)]
         cv2.addWeighted(image, 1.0, noise, factor, -128.0 * factor, dst=image)
-        return image
 
     def _window(self, image: GreyImage) -> tuple[slice, slice]:
         rows, columns = image.shape
@@ -272,8 +270,9 @@ def levelled(
     return there.astype(np.uint8), back.astype(np.uint8), float(stretch)
 
 
-def through(table: GreyImage, image: GreyImage) -> GreyImage:
-    return np.asarray(cv2.LUT(image, table), dtype=np.uint8)
+def through(table: GreyImage, image: GreyImage, out: GreyImage) -> GreyImage:
+    """Each grey value by a table (256,); `out` may be the image itself."""
+    return np.asarray(cv2.LUT(image, table, dst=out), dtype=np.uint8)
 
 
 def add_light(image: GreyImage, light_grey: NDArray[np.float32]) -> None:

@@ -19,7 +19,6 @@ from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.camera import camera as optics
 from sitl.camera.exposure import ImagingSettings
-from sitl.camera.textures import GreyImage
 from sitl.external.world import ExternalWorld
 from sitl.scenario.as_built import AS_BELIEVED, BuiltVehicle
 from sitl.scenario.scenario import Scenario
@@ -116,7 +115,7 @@ class SceneCamera:
         time_s = self._next_s
         self._next_s += self._period_s
         image = self.model.blank()
-        self._drawing = self._begin(_draw, image, self.model.expose(time_s, self._scene_at))
+        self._drawing = self._begin(self.model.expose(time_s, self._scene_at), image)
         late = self._settings.latency_s + self._settings.latency_jitter_s * float(
             self._rng.uniform(-1.0, 1.0)
         )
@@ -146,10 +145,6 @@ class SceneCamera:
             pad_roll_rad=truth.pad_roll_rad,
             pad_pitch_rad=truth.pad_pitch_rad,
         )
-
-
-def _draw(image: GreyImage, picture: Callable[[], GreyImage]) -> None:
-    image[:] = picture()
 
 
 def perturbed_lens(
