@@ -126,6 +126,7 @@ class Streams:
         period = interval_us * 1e-6 if interval_us > 0.0 else default if interval_us == 0.0 else None
         if period is None:
             self._period_s.pop(message_id, None)
+            self._due_s.pop(message_id, None)
         else:
             self._period_s[message_id] = min(max(period, 1.0 / _HIGHEST_RATE_HZ), 1.0 / _LOWEST_RATE_HZ)
             self._due_s[message_id] = -math.inf
@@ -136,16 +137,12 @@ class Streams:
         """Message ids to send now; most calls find nothing and cost next to nothing."""
         if now_s < self._next_s:
             return []
-        soonest, found = math.inf, []
-        for message_id, period in self._period_s.items():
-            due = self._due_s[message_id]
-            if now_s >= due:
-                found.append(message_id)
-                # keep the rate when called a little late, but never catch up by a burst
-                due = due + period if now_s - due < period else now_s + period
-                self._due_s[message_id] = due
-            soonest = min(soonest, due)
-        self._next_s = soonest - 1e-6
+        found = [message_id for message_id, due in self._due_s.items() if now_s >= due]
+        for message_id in found:
+            due, period = self._due_s[message_id], self._period_s[message_id]
+            # keep the rate when called a little late, but never catch up by a burst
+            self._due_s[message_id] = due + period if now_s - due < period else now_s + period
+        self._next_s = min(self._due_s.values(), default=math.inf) - 1e-6
         return found
 
 

@@ -45,9 +45,11 @@ class MotorMixer:
     """`mix` for one airframe, in motor commands 0..1."""
 
     def __init__(self, airframe: QuadrotorParameters, idle: float) -> None:
-        full, self._layout = airframe.max_thrust_n, airframe.layout
-        self._per_roll_pitch_nm = 1.0 / (self._layout.tilting * airframe.arm_length_m * full)
-        self._per_yaw_nm = 1.0 / (self._layout.count * airframe.torque_to_thrust_m * full)
+        full, layout = airframe.max_thrust_n, airframe.layout
+        self._per_roll_pitch_nm = 1.0 / (layout.tilting * airframe.arm_length_m * full)
+        self._per_yaw_nm = 1.0 / (layout.count * airframe.torque_to_thrust_m * full)
+        self._arms = tuple(zip(layout.forward, layout.right, strict=True))
+        self._turns = layout.turns
         self._idle = idle
         self.saturated = False
 
@@ -56,8 +58,8 @@ class MotorMixer:
         roll = torque_nm[0] * self._per_roll_pitch_nm
         pitch = torque_nm[1] * self._per_roll_pitch_nm
         yaw = torque_nm[2] * self._per_yaw_nm
-        low, high, layout = self._idle, 1.0, self._layout
-        tilts = [pitch * f - roll * r for f, r in zip(layout.forward, layout.right, strict=True)]
+        low, high = self._idle, 1.0
+        tilts = [pitch * forward - roll * right for forward, right in self._arms]
         reach = max(map(abs, tilts))
         room = 0.5 * (high - low)
         self.saturated = reach > room
@@ -68,7 +70,7 @@ class MotorMixer:
         # yaw lifts every other motor and lowers the rest: what all still have room for
         beyond = high + YAW_MARGIN * (high - low)
         yaw = clamp(yaw, max(0.0, min(centre - reach - low, beyond - centre - reach)))
-        turned = list(zip(tilts, layout.turns, strict=True))
+        turned = list(zip(tilts, self._turns, strict=True))
         if centre + reach + abs(yaw) - high > _ROUNDING:
             over = max(centre + abs(tilt) + turn * yaw for tilt, turn in turned) - high
             if over > _ROUNDING:
