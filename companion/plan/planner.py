@@ -166,8 +166,8 @@ class Planner:
         self._see(inputs, now_s)
         conditions = self._set_pace(inputs, now_s)
         self._react(inputs, now_s)
-        # a disarming that was asked for on the pad is none for a vehicle that has left it
-        left_pad = pressed and not self._steering.presses_down
+        # a disarming asked for on the pad is none for a vehicle that left it; one on its side did not
+        left_pad = pressed and not self._steering.presses_down and not self._monitor.lies
         contact = self._steering.contact
         self.withdraws = left_pad or (self._machine.state in WITHDRAWS and self.phase is not before)
         return PlanStep(

@@ -71,7 +71,7 @@ def enter_touchdown(
         case State.RISE:
             touchdown.break_off(now_s)
         case State.SET_DOWN:
-            touchdown.begin_set_down(sight, vehicle, now_s)
+            touchdown.begin_set_down(vehicle, now_s)
         case State.STAND:
             touchdown.begin_stand(sight, now_s)
 

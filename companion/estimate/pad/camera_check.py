@@ -93,6 +93,7 @@ _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11,
 _F, _BODY = 17, slice(11, 18)  # m is 14:17
 _STATES: Final = 18
 _EYE: Final = np.eye(_STATES)
+_EYE.flags.writeable = False
 
 
 class CameraCheck:

@@ -59,6 +59,7 @@ IMU_BIASES: Final = slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
 
 
 _ATTITUDE_SHOWN: Final = np.eye(4, STATES)
+_ATTITUDE_SHOWN.flags.writeable = False
 
 
 def diagonal(x: float, y: float, z: float) -> FloatArray:

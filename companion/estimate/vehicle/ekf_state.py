@@ -44,6 +44,7 @@ UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
 UNSEEN_JERK_M_S3: Final = 6.0
 EYE4: Final = np.eye(4)
 EYE: Final = np.eye(model.STATES)
+EYE.flags.writeable = False
 
 
 class EkfSnapshot(NamedTuple):

@@ -48,6 +48,7 @@ class PadTrack:
         self._needed, self._gap_s = sightings, gap_s
         self._count = 0
         self.sight: PadState | None = None
+        self._last: PadState | None = None  # the same, kept while there is no estimate
         self.motion: Motion | None = None
 
     def update(self, pad: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
@@ -55,14 +56,14 @@ class PadTrack:
         if pad is None:
             self.sight = None
             return
-        self.sight = replace(pad, delay_s=self._delay_s(pad.seen_time_s, now_s))
+        self.sight = self._last = replace(pad, delay_s=self._delay_s(pad.seen_time_s, now_s))
         if vehicle is not None:
             place = add(vehicle.position_ned_m, pad.relative_position_ned_m)
             self.motion = Motion(place, pad.velocity_ned_m_s, pad.acceleration_ned_m_s2)
 
     def _delay_s(self, seen_s: float, now_s: float) -> float:
         """From the exposure of the newest sighting until it came; one that has come by now is counted."""
-        before = self.sight
+        before = self._last
         if before is not None and seen_s <= before.seen_time_s:
             return before.delay_s
         follows = before is not None and seen_s - before.seen_time_s <= self._gap_s
@@ -72,9 +73,9 @@ class PadTrack:
 
     def steady(self, now_s: float) -> bool:
         """Whether the pad is in view, not just for a frame."""
-        if self.sight is None or self.motion is None:
+        if self._last is None or self.motion is None:
             return False
-        return self._count >= self._needed and now_s - self.sight.seen_time_s <= self._gap_s
+        return self._count >= self._needed and now_s - self._last.seen_time_s <= self._gap_s
 
     def distrust(self) -> None:
         """What was seen proved wrong: only new sightings count."""

@@ -341,11 +341,11 @@ class TouchdownSequence:
 
     # ------------------------------------------------------------ set down, and stand
 
-    def begin_set_down(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
-        """Begin to go straight down, level."""
+    def begin_set_down(self, vehicle: VehicleState | None, now_s: float) -> None:
+        """Begin to go straight down, level: nothing shows the feet down but the pad at the legs' height."""
         self.contact = ContactFilter(self._config, self._leg_std_m)
         self._go_straight_down(vehicle, now_s)
-        self._standing = LandDetector(self._config, self._vehicle, now_s, sight)
+        self._standing = LandDetector(self._config, self._vehicle, now_s)
         self._levelling.reset()
         self._levelling.stay(now_s)
 

@@ -12,6 +12,7 @@ from typing import Final
 from companion.base.geometry import Vector3
 from companion.base.messages import Conditions, PadState, VehicleState
 from companion.plan.debounce import StepClock
+from companion.plan.inputs import LONGEST_CYCLE_S
 
 # A gust lasts for seconds; over this time the wind's force is averaged, and its spread about that.
 GUST_OVER_S: Final = 2.0
@@ -39,6 +40,8 @@ class ConditionMonitor:
     ) -> None:
         """Note the pad and the vehicle, and the velocity over the pad that is planned, if one is."""
         elapsed_s = self._clock.step_s(now_s)
+        if math.isfinite(elapsed_s):
+            elapsed_s = min(LONGEST_CYCLE_S, elapsed_s)
         if vehicle is not None:
             self._feel(complex(*vehicle.side_force_ned_m_s2[:2]), _share(elapsed_s, GUST_OVER_S))
         if sight is None:

@@ -57,3 +57,31 @@ def test_a_pad_whose_sightings_come_late_is_not_fresh() -> None:
         pad.update(late, None, now_s)
     assert pad.sight is not None
     assert pad.sight.unseen_s > 0.5
+
+
+def test_what_a_set_down_took_for_contact_high_over_the_pad_is_no_rest() -> None:
+    """However high it was when it began: echoes from there show no feet down."""
+    sequence, now_s = sinking()._sequence, 10.0
+    enter_touchdown(sequence, State.SET_DOWN, sight(height=LEG_M + 1.0), vehicle_state(now_s), now_s)
+    found = []
+    for k in range(60):
+        at_s = now_s + k * CYCLE_S
+        inputs = PlanInputs(vehicle_state(at_s), None, LANDING, range=RangeSample(at_s, 0.9))
+        found.append(touch_down(sequence, State.AUTO_LAND, None, inputs, at_s))
+    assert MissionEvent.AT_REST not in {event[0] for event in found if event is not None}
+
+
+def test_a_cycle_without_an_estimate_makes_no_old_sighting_new() -> None:
+    pad, now_s = PadTrack(5, 0.5), 50.0
+    for k in range(10):
+        now_s = 50.0 + k * CYCLE_S
+        pad.update(replace(sight(), time_s=now_s, seen_time_s=now_s - 0.15), vehicle_state(now_s), now_s)
+    before = pad.sight
+    assert before is not None
+    pad.update(None, None, now_s + CYCLE_S)
+    assert pad.steady(now_s + CYCLE_S)
+    pad.update(replace(before, time_s=now_s + 2.0 * CYCLE_S), None, now_s + 2.0 * CYCLE_S)
+    again = pad.sight
+    assert again is not None
+    assert again.delay_s == before.delay_s
+    assert pad.steady(now_s + 2.0 * CYCLE_S)
