@@ -121,10 +121,10 @@ class MotionHistory:
 
     def turn(self, from_s: float, turn: Quaternion) -> None:
         """Turn (about NED axes) the attitudes from a time on: they have proved wrong."""
-        place = bisect_left(self._times_s, from_s)
-        self._samples[place:] = [
+        first = bisect_left(self._times_s, from_s)
+        self._samples[first:] = [
             (quat_multiply(turn, attitude), speed, place, corrected)
-            for attitude, speed, place, corrected in self._samples[place:]
+            for attitude, speed, place, corrected in self._samples[first:]
         ]
 
     def correct(self, turn_rad: Vector3) -> None:
