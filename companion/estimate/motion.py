@@ -29,6 +29,9 @@ from companion.base.geometry import (
 
 LEVER_STD_M: Final = 0.05  # of the IMU's place as told, an axis: people put boards up to 10 cm off
 PREDICTED_S = 0.1  # beyond the newest sample an acceleration goes on for so long, and then there is none
+LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
+UNSEEN_ACCELERATION_M_S2: Final = 4.0  # how hard the vehicle may accelerate in a gap of the IMU's stream
+UNSEEN_JERK_M_S3: Final = 6.0  # and how fast that changes
 
 
 class VehiclePlace(NamedTuple):
@@ -41,6 +44,14 @@ class VehiclePlace(NamedTuple):
     position_std_m: Vector3
     velocity_std_m_s: Vector3
     origin: Vector3
+
+
+class _Gap(NamedTuple):
+    """Between two samples; noise of this density, on an axis, makes in it what a step so long may miss."""
+
+    start_s: float
+    end_s: float
+    density_m2_s3: float
 
 
 # attitude, integrals of acceleration (velocity and position), all corrections of the attitude up to then
@@ -61,6 +72,7 @@ class MotionHistory:
         self._span_s = span_s
         self._times_s: list[float] = []
         self._samples: list[_Sample] = []
+        self._gaps: list[_Gap] = []
         self._corrected: Vector3 = ZERO3
         self._acceleration = self._lasting = ZERO3
 
@@ -88,6 +100,8 @@ class MotionHistory:
         if self._times_s:
             dt = time_s - self._times_s[-1]
             acts_s = dt if span_s is None else span_s
+            if acts_s > LONGEST_STEP_S:
+                self._gaps.append(_Gap(time_s - dt, time_s, unseen_velocity_m2_s2(acts_s) / dt))
             _, (vx, vy, vz), (px, py, pz), _ = self._samples[-1]
             (ax, ay, az), (bx, by, bz) = self._acceleration, acceleration_ned_m_s2
             h, k = 0.5 * acts_s, dt * acts_s / 6.0
@@ -164,12 +178,36 @@ class MotionHistory:
             return ZERO3
         return scale(turn_between(before, after), 1.0 / span_s)
 
-    def moved(self, start_s: float, end_s: float) -> tuple[Vector3, Vector3]:
-        """Change of position (m) beyond constant velocity's, and of velocity (m/s), between two times."""
+    def moved(self, start_s: float, end_s: float) -> tuple[Vector3, Vector3, FloatArray | None]:
+        """Change of position (m) beyond constant velocity's, and of velocity (m/s), between two times.
+
+        The third is the covariance (2, 2) of the two, on each axis, by what no sample has covered; None:
+        nothing.
+        """
         (vx, vy, vz), (px, py, pz) = self._at(start_s)
         (wx, wy, wz), (qx, qy, qz) = self._at(end_s)
         dt = end_s - start_s
-        return (qx - px - vx * dt, qy - py - vy * dt, qz - pz - vz * dt), (wx - vx, wy - vy, wz - vz)
+        place, speed = (qx - px - vx * dt, qy - py - vy * dt, qz - pz - vz * dt), (wx - vx, wy - vy, wz - vz)
+        if self._gaps or (self._times_s and end_s - self._times_s[-1] > LONGEST_STEP_S):
+            return place, speed, self._unseen(start_s, end_s)
+        return place, speed, None
+
+    def _unseen(self, start_s: float, end_s: float) -> FloatArray | None:
+        """White noise in the gaps, so that a motion in two steps is as uncertain as in one."""
+        gaps, silent_s = self._gaps, end_s - self._times_s[-1]
+        if silent_s > LONGEST_STEP_S:
+            gaps = [*gaps, _Gap(self._times_s[-1], end_s, unseen_velocity_m2_s2(silent_s) / silent_s)]
+        place = shared = speed = 0.0
+        for gap in reversed(gaps):
+            if gap.end_s <= start_s:
+                break  # as all before it
+            # since its start, and since its end
+            long, short = end_s - max(start_s, gap.start_s), end_s - min(end_s, gap.end_s)
+            if long > short:
+                place += gap.density_m2_s3 * (long**3 - short**3) / 3.0
+                shared += gap.density_m2_s3 * (long**2 - short**2) / 2.0
+                speed += gap.density_m2_s3 * (long - short)
+        return np.array(((place, shared), (shared, speed))) if speed else None
 
     def _at(self, time_s: float) -> tuple[Vector3, Vector3]:
         """Velocity and position integrals at a time; beyond the newest sample an acceleration goes on."""
@@ -195,6 +233,17 @@ class MotionHistory:
     def _forget(self, before_s: float) -> None:
         old = bisect_right(self._times_s, before_s)
         del self._times_s[:old], self._samples[:old]
+        self._gaps = [gap for gap in self._gaps if gap.end_s > before_s]
+
+
+def unseen_velocity_m2_s2(span_s: float) -> float:
+    """Variance, on an axis, of what a step of the IMU may have missed of the change of velocity (m²/s²).
+
+    One longer than any in a healthy stream has seen only its ends: what lies between them may differ the more
+    the longer it took.
+    """
+    unseen_s = max(span_s - LONGEST_STEP_S, 0.0)
+    return (min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s) * unseen_s) ** 2
 
 
 def turn_between(before: Quaternion, after: Quaternion) -> Vector3:

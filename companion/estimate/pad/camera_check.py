@@ -237,7 +237,7 @@ class CameraCheck:
     def _predict(self, time_s: float) -> None:
         dt = time_s - self._time_s
         self._turn(dt, self._motion.corrected(self._time_s, time_s))
-        moved, sped = (np.array(u) for u in self._motion.moved(self._time_s, time_s))
+        moved, sped = (np.array(u) for u in self._motion.moved(self._time_s, time_s)[:2])
         fade = math.exp(-dt / PAD_ACCELERATION_S)
         F = _EYE.copy()
         F[_Q, _V] = F[_V, _A] = dt * EYE3

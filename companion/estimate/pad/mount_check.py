@@ -99,8 +99,8 @@ class MountCheck:
 
     def _compare(self, a: _Seen, b: _Seen, c: _Seen) -> None:
         share = (b.time_s - a.time_s) / (c.time_s - a.time_s)
-        moved_b, _ = self._motion.moved(a.time_s, b.time_s)
-        moved_c, _ = self._motion.moved(a.time_s, c.time_s)
+        moved_b, *_ = self._motion.moved(a.time_s, b.time_s)
+        moved_c, *_ = self._motion.moved(a.time_s, c.time_s)
         across = second_difference(a.across_ned_m, b.across_ned_m, c.across_ned_m, share)
         turned = second_difference(a.turned_ned_m, b.turned_ned_m, c.turned_ned_m, share)
         along = second_difference(a.along_ned_m, b.along_ned_m, c.along_ned_m, share)

@@ -185,9 +185,9 @@ class PadFilter:
         start_s, dt_s = since.time_s, end_s - since.time_s
         correction, unseen_s = self._motion.corrected(start_s, end_s), end_s - since.seen_time_s
         turned = correction if unseen_s <= self._config.forget_s else ZERO3
-        moved = self._motion.moved(start_s, end_s)
-        added = frame_rotation_increment(moved, turned, since.models.means, dt_s, unseen_s)
-        F, Q = self._models.step(dt_s, since.turn, self._motion.noise_density_m2_s3)
+        place, speed, unseen = self._motion.moved(start_s, end_s)
+        added = frame_rotation_increment((place, speed), turned, since.models.means, dt_s, unseen_s)
+        F, Q = self._models.step(dt_s, since.turn, self._motion.noise_density_m2_s3, unseen)
         group_of = self._bank.group_of
         step = ModelTransition(F, Q, added.take(group_of, axis=0))
         return with_common(step, since.common, dt_s, group_of), correction[2]

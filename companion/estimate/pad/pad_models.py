@@ -135,9 +135,12 @@ class PadModels:
         A = np.concatenate((across.A, up.A, across.A[[TURN, TURN]]))
         self._series = _Series(A, np.concatenate((across.W, up.W, alone)))
 
-    def step(self, dt_s: float, turn: Turn, vehicle_density_m2_s3: float) -> tuple[FloatArray, FloatArray]:
+    def step(
+        self, dt_s: float, turn: Turn, vehicle_density_m2_s3: float, unseen: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """F and Q (m, 8, 8) over dt_s; the density is of the noise of the vehicle's acceleration.
 
+        `unseen` (2, 2) is the covariance of the vehicle's motion as of `MotionHistory.moved`.
         The turn rate's variance acts on the acceleration as jerk: an error that lasts is as harmful as a
         white one of that density after a second. Within a short time Q leaves out that noise turns, too.
         """
@@ -155,6 +158,9 @@ class PadModels:
         for _ in range(doublings):
             Q = F @ Q @ F.transpose(0, 2, 1) + Q
             F = F @ F
+        if unseen is not None:
+            Q[:, 0:4:2, 0:4:2] += unseen
+            Q[plane, 1:4:2, 1:4:2] += unseen
         return F, Q
 
     @staticmethod

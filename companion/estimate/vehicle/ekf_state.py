@@ -19,6 +19,7 @@ from companion.base.geometry import EYE3, FloatArray, Quaternion, euler_from_qua
 from companion.base.late_import import imported_late
 from companion.config import EkfConfig
 from companion.estimate.gating import Gate, fits
+from companion.estimate.motion import LONGEST_STEP_S, unseen_velocity_m2_s2
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_start import (
     TINY_VARIANCE,
@@ -37,11 +38,8 @@ with imported_late("filterpy.stats", "filterpy.discrete_bayes"):
     from filterpy.kalman import ExtendedKalmanFilter
 
 FIXES: Final = frozenset({"gps_velocity", "gps_position"})
-LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
-UNSEEN_ACCELERATION_M_S2: Final = 4.0
 UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
-UNSEEN_JERK_M_S3: Final = 6.0
 EYE4: Final = np.eye(4)
 EYE: Final = np.eye(model.STATES)
 EYE.flags.writeable = False
@@ -172,8 +170,7 @@ class EkfState:
         """Variance an axis of the step's turn (rad²) and change of velocity (m²/s²).
 
         Scale errors and misalignment are proportional to the turn, and a turn keeps its direction for about
-        a second. A step longer than any in a healthy stream has seen only its ends: what lies between them
-        may differ the more the longer it took.
+        a second. Of a longer step than any in a healthy stream see `unseen_velocity_m2_s2`.
         """
         config = self._config
         unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
@@ -184,8 +181,7 @@ class EkfState:
         velocity = self.force_density_m2_s3 * dt_s
         velocity += noise.force_error_m_s2**2 * FORCE_ERROR_S * dt_s
         rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
-        acceleration = min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s)
-        return turn + (rate * unseen_s) ** 2, velocity + (acceleration * unseen_s) ** 2
+        return turn + (rate * unseen_s) ** 2, velocity + unseen_velocity_m2_s2(dt_s)
 
     def _update(
         self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, gate_noise: FloatArray | None

@@ -315,10 +315,11 @@ class VehicleEstimator:
         if ekf is None or not -FUTURE_S <= imu_age_s <= IMU_TIMEOUT_S + link_late_s:
             return None
         imu_age_s -= link_late_s
-        place, speed = self.motion.moved(ekf.time_s, now_s)
+        place, speed, unseen = self.motion.moved(ekf.time_s, now_s)
         velocity = vector3(ekf.x[model.VELOCITY])
         position = add(vector3(ekf.x[model.POSITION]), scale(velocity, now_s - ekf.time_s))
         variance, inertial = ekf.P.diagonal().tolist(), self._inertial
+        place_m2, speed_m2_s2 = (0.0, 0.0) if unseen is None else unseen.diagonal().tolist()
         attitude_std_rad = 2.0 * math.sqrt(sum(variance[model.QUATERNION]))
         return VehicleState(
             time_s=now_s,
@@ -331,8 +332,8 @@ class VehicleEstimator:
             gyro_bias_rad_s=inertial.gyro_bias_rad_s,
             accel_bias_m_s2=inertial.accel_bias_m_s2,
             attitude_std_rad=attitude_std_rad,
-            velocity_std_m_s=math.sqrt(sum(variance[model.VELOCITY])),
-            position_std_m=math.sqrt(sum(variance[model.POSITION])),
+            velocity_std_m_s=math.sqrt(sum(variance[model.VELOCITY]) + 3.0 * speed_m2_s2),
+            position_std_m=math.sqrt(sum(variance[model.POSITION]) + 3.0 * place_m2),
             aligned=attitude_std_rad < ALIGNED_STD_RAD,
             has_gps=now_s - ekf.gps_time_s < GPS_TIMEOUT_S,
             origin=self.origin,

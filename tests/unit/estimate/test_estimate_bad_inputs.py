@@ -92,6 +92,27 @@ def test_a_gap_of_a_blink_costs_little() -> None:
     assert worst_tilt_deg(attitude_errors_deg(gap(0.15))) < 2.0
 
 
+def test_as_a_gap_lasts_the_velocity_is_known_less_well_and_not_only_at_its_end() -> None:
+    estimator, stated_m_s = new_estimator(), {}
+    for arrival_s, sample in FLOWN.samples:
+        changed = gap(0.6)(sample)
+        if changed is not None:
+            feed(estimator, changed)  # type: ignore[arg-type]
+        state = estimator.vehicle(arrival_s) if 23.9 < arrival_s < 24.7 else None
+        if state is not None and changed is not None:
+            stated_m_s[arrival_s] = state.velocity_std_m_s
+        if arrival_s > 24.7:
+            break
+    before, early, late = (
+        max(std for time_s, std in stated_m_s.items() if start_s < time_s < end_s)
+        for start_s, end_s in ((23.9, 24.0), (24.2, 24.35), (24.45, 24.6))
+    )
+    ended = next(std for time_s, std in stated_m_s.items() if time_s >= 24.6)
+    assert early > 3.0 * before
+    assert late > 2.0 * early
+    assert ended == pytest.approx(late, rel=0.25), "as the Kalman filter has it at the end"
+
+
 def test_after_a_long_gap_nothing_is_said_until_it_is_known_again() -> None:
     errors = attitude_errors_deg(gap(3.0))
     again = {time_s: error for time_s, error in errors.items() if time_s > 25.5}

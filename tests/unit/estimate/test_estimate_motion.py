@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import IDENTITY, quat_from_euler, yaw_from_quat
-from companion.estimate.motion import MotionHistory
+from companion.estimate.motion import MotionHistory, unseen_velocity_m2_s2
 
 
 def filled(duration_s: float = 2.0, span_s: float = 5.0) -> MotionHistory:
@@ -22,7 +22,7 @@ def test_empty_history_knows_nothing() -> None:
     history = MotionHistory(1.0)
     assert history.attitude(0.0) is None
     assert history.newest_s is None
-    assert history.moved(0.0, 1.0) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert history.moved(0.0, 1.0) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None)
 
 
 @pytest.mark.parametrize("time_s", [0.0, 0.3337, 1.0, 1.9999, 2.0])
@@ -47,14 +47,15 @@ def test_the_rate_of_turn_is_the_last_that_is_known(time_s: float) -> None:
 @pytest.mark.parametrize(("start_s", "end_s"), [(0.0, 2.0), (0.5, 1.2034), (0.7513, 0.7514), (1.0, 1.0)])
 def test_motion_between_two_times_is_the_integral(start_s: float, end_s: float) -> None:
     dt = end_s - start_s
-    place, speed = filled().moved(start_s, end_s)
+    place, speed, unseen = filled().moved(start_s, end_s)
+    assert unseen is None
     assert speed == pytest.approx((dt + (end_s**2 - start_s**2) / 2, -2.0 * dt, 0.0), abs=1e-5)
     expected = dt * dt / 2 * (1.0 + start_s) + dt**3 / 6
     assert place == pytest.approx((expected, -dt * dt, 0.0), abs=1e-5)
 
 
 def test_beyond_the_newest_sample_the_acceleration_goes_on() -> None:
-    place, speed = filled().moved(2.0, 2.1)
+    place, speed, _ = filled().moved(2.0, 2.1)
     assert speed == pytest.approx((0.3, -0.2, 0.0))
     assert place == pytest.approx((0.015, -0.01, 0.0))
 
@@ -69,9 +70,60 @@ def test_a_corrected_clock_moves_nothing_however_fast_the_integral_began(arbitra
     history.add(1.02, IDENTITY, (0.0, 0.0, 0.0))
     history.add(1.08, IDENTITY, (0.0, 0.0, 0.0), span_s=0.01)
     history.add(1.09, IDENTITY, (0.0, 0.0, 0.0), span_s=0.01)
-    place, speed = history.moved(1.015, 1.09)
+    place, speed, _ = history.moved(1.015, 1.09)
     assert place == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
     assert speed == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
+def gapped(gap_s: float) -> MotionHistory:
+    """200 Hz, but for a gap after 1 s."""
+    history = MotionHistory(1.0)
+    for k in range(300):
+        history.add(k / 200 + gap_s * (k > 200), IDENTITY, (0.0, 0.0, 0.0))
+    return history
+
+
+@pytest.mark.parametrize("end_s", [1.2, 1.7, 1.9])
+def test_a_motion_in_two_steps_is_as_uncertain_as_in_one(end_s: float) -> None:
+    """Wherever they meet: before the gap, in it, at its end or after it."""
+    history = gapped(0.5)
+    whole = history.moved(0.5, end_s)[2]
+    for middle_s in (0.8, 1.1, 1.504, 1.6):
+        if middle_s < end_s:
+            dt = end_s - middle_s
+            F = np.array([[1.0, dt], [0.0, 1.0]])
+            first, second = (history.moved(*span)[2] for span in ((0.5, middle_s), (middle_s, end_s)))
+            first, second = (np.zeros((2, 2)) if part is None else part for part in (first, second))
+            assert F @ first @ F.T + second == pytest.approx(whole)
+
+
+@pytest.mark.parametrize("gap_s", [0.1, 0.3, 0.8])
+def test_a_gap_may_have_missed_what_the_kalman_filter_says(gap_s: float) -> None:
+    unseen = gapped(gap_s).moved(0.9, 1.5 + gap_s)[2]
+    assert unseen is not None
+    assert unseen[1, 1] == pytest.approx(unseen_velocity_m2_s2(gap_s + 0.005))
+    assert np.linalg.det(unseen) > 0.0
+
+
+def test_silence_is_a_gap_that_has_not_ended() -> None:
+    silent, over = filled(), filled()
+    over.add(2.5, IDENTITY, (0.0, 0.0, 0.0))
+    assert silent.moved(1.9, 2.5)[2] == pytest.approx(over.moved(1.9, 2.5)[2])
+    assert silent.moved(1.9, 2.04)[2] is None, "no longer than a step"
+
+
+def test_no_gap_but_a_corrected_clock_leaves_nothing_unseen() -> None:
+    history = filled()
+    history.add(2.4, IDENTITY, (0.0, 0.0, 0.0), span_s=0.005)
+    assert history.moved(1.9, 2.4)[2] is None
+
+
+def test_a_gap_is_forgotten_with_its_samples() -> None:
+    history = gapped(0.3)
+    assert history._gaps
+    for k in range(500):
+        history.add(1.8 + k / 200, IDENTITY, (0.0, 0.0, 0.0))
+    assert not history._gaps
 
 
 def test_old_samples_are_forgotten_and_the_span_kept() -> None:

@@ -85,7 +85,7 @@ class SingleModelFilter:
             gain = tau * (1.0 - fade)
             F[axis, 3 + axis], F[axis, 6 + axis] = dt, tau * (dt - gain)
             F[3 + axis, 6 + axis], F[6 + axis, 6 + axis] = gain, fade
-        place, speed = self._motion.moved(start_s, end_s)
+        place, speed, _ = self._motion.moved(start_s, end_s)
         u[:3, 0], u[3:6, 0] = place, speed
         return F, _noise(dt), -u
 

@@ -114,6 +114,29 @@ def test_blind_for_two_seconds_it_predicts_and_says_how_well() -> None:
     assert after.seen_time_s == before.seen_time_s
 
 
+@pytest.mark.parametrize("gap_s", [0.3, 1.0])
+def test_a_gap_of_the_imu_hides_a_motion_that_is_stated(gap_s: float) -> None:
+    """2 m/s^2 within it, and without: the first sighting after it is believed, the next one's too."""
+    bench, push_m_s2, end_s = PadFilterBench(), 2.0, 4.0 + gap_s
+    bench.motion = bench.filter._motion = MotionHistory(20.0)
+    for k in range(1200):
+        if not 4.0 < k / 200 < end_s:
+            bench.motion.add(k / 200, IDENTITY, (0.0, 0.0, 0.0))
+    bench.see(0.0, 4.0)
+    estimate = bench.at(end_s)
+    missed_m, missed_m_s = 0.5 * push_m_s2 * gap_s**2, push_m_s2 * gap_s
+    assert missed_m < 3.0 * math.sqrt(estimate.P[0, 0])
+    assert missed_m_s < 3.0 * math.sqrt(estimate.P[3, 3])
+    later = end_s + np.arange(1, 8) / 30
+    for t in later.tolist():
+        away = -missed_m - missed_m_s * (t - end_s)
+        bench.timeline.add(t, bench.sighting(t, (away, 0.0, 0.0)))
+    assert bench.filter.gates["sighting"].refused == 0
+    after = bench.at(t)
+    assert after.x[0] == pytest.approx(bench.relative(t)[0] + away, abs=0.03)
+    assert abs(after.x[3] - (1.0 - missed_m_s)) < 3.0 * math.sqrt(after.P[3, 3])
+
+
 def test_one_false_sighting_is_refused() -> None:
     bench = PadFilterBench()
     bench.see(0.0, 3.0)

@@ -86,7 +86,7 @@ def test_vibration_does_not_go_on_beyond_the_newest_sample() -> None:
         shaken = 2.0 * math.sin(math.tau * 90.0 * k * STEP_S)
         force: Vector3 = (shaken, 0.0, -GRAVITY_M_S2)
         motion.add(ImuSample(k * STEP_S, ZERO3, force, 25.0), ZERO3, STEP_S, ZERO3, force, orientation)
-        (_, (north, _, _)) = history.moved(k * STEP_S, k * STEP_S + 0.012)
+        _, (north, _, _), _ = history.moved(k * STEP_S, k * STEP_S + 0.012)
         swings.append(north)
         speeds.append(motion.acceleration_ned_m_s2[0] * 0.012)
     # THEN the velocity 12 ms later differs by what lasts of the acceleration alone, not by the last sample's
@@ -101,7 +101,7 @@ def test_a_blow_is_not_carried_on_while_the_next_samples_are_late() -> None:
     for k in range(1, 101):
         force: Vector3 = (-127.0 if k == 100 else 0.0, 0.0, -GRAVITY_M_S2)
         motion.add(ImuSample(k * step_s, ZERO3, force, 25.0), ZERO3, step_s, ZERO3, force, orientation)
-    (_, (later, _, _)) = history.moved(100 * step_s, 100 * step_s + 0.08)
+    _, (later, _, _), _ = history.moved(100 * step_s, 100 * step_s + 0.08)
     assert abs(later) < 0.25
     assert motion.acceleration_ned_m_s2[0] < -30.0  # it is felt all the same
 
