@@ -8,8 +8,10 @@ reference point is its centre of mass.
 from __future__ import annotations
 
 import math
+from bisect import insort
 from collections.abc import Iterable
 from functools import partial
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -54,7 +56,13 @@ from companion.estimate.pad.mount_check import MountCheck
 from companion.estimate.pad.observation import VehicleAtExposure
 from companion.estimate.pad.observation_kinds import BY_MESSAGE
 from companion.estimate.pad.pad_filter import PadFilter
-from companion.estimate.pad.pad_types import CombinedEstimate, HeightMeasurement, PadInput, PadSnapshot
+from companion.estimate.pad.pad_types import (
+    CombinedEstimate,
+    HeightMeasurement,
+    PadInput,
+    PadMeasurement,
+    PadSnapshot,
+)
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 from companion.estimate.velocity_check import VelocityCheck
 
@@ -105,6 +113,7 @@ class StateEstimator:
         self._pad = PadFilter(config, self._motion, self._board_half_width_m)
         self._timeline: Timeline[PadSnapshot, PadInput] = Timeline(self._pad, config.remember_s)
         self._early: list[PadObservation] = []  # of what the IMU has not come up to
+        self._fused: list[tuple[float, PadObservation | RangeSample]] = []  # by time, as far as replayed
 
     def start_over(self) -> None:
         """Forget vehicle and pad: more time has gone by than any clock shows. The alignment begins again."""
@@ -174,7 +183,19 @@ class StateEstimator:
             if sample.round_trip_s > 0.0:
                 self._camera_check.half_trip_s = 0.5 * sample.round_trip_s
             self._attitude_check.take(sample)
-        return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
+        taken = usable and self._vehicle.add_autopilot_attitude(sample)
+        since_s, self._motion.turned_since_s = self._motion.turned_since_s, math.inf
+        if since_s < math.inf:
+            self._see_again(since_s)
+        return self._count("attitude", taken)
+
+    def _see_again(self, since_s: float) -> None:
+        """Take what was fused by attitudes that have proved wrong once more, by those that replace them."""
+        again = [entry for entry in self._fused if entry[0] >= since_s]
+        made = [(time_s, self._in_ned(time_s, seen)) for time_s, seen in again]
+        self._timeline.replace(since_s, [(time_s, item) for time_s, item in made if item is not None])
+        self._camera_check.begin_motion()
+        self._mount_check.begin_motion()
 
     def add_autopilot_velocity(self, time_s: float, velocity_ned_m_s: Vector3) -> None:
         """Compare the autopilot's velocity at a time with ours, which it does not correct."""
@@ -207,21 +228,43 @@ class StateEstimator:
 
     def add_range(self, sample: RangeSample) -> bool:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""
-        attitude = self._motion.attitude(sample.time_s)
-        if attitude is None or not self._usable(sample.time_s, (sample.distance_m,)):
+        if self._motion.newest_s is None or not self._usable(sample.time_s, (sample.distance_m,)):
             return self._count("range", False)
+        measurement = self._height(sample)
+        if measurement is None:
+            return self._count("range", False)
+        self._camera_check.take_echo(sample.time_s, measurement)
+        return self._count("range", self._take(sample.time_s, sample, measurement))
+
+    def _height(self, sample: RangeSample) -> HeightMeasurement | None:
+        """Of the sensor over what is below it; None where it looks too far aslant."""
+        attitude = self._motion.attitude(sample.time_s)
+        assert attitude is not None
         tilt_rad = tilt_from_quat(attitude)
         if tilt_rad > math.radians(RANGE_MAXIMUM_TILT_DEG):
-            return self._count("range", False)
+            return None
         # a wide beam measures to the nearest point, a narrow one the point on its axis: take the height
         # under the axis, with the difference as its noise
         height_m = sample.distance_m * math.cos(tilt_rad)
         noise_m = math.hypot(self._config.pad.range_noise_m, sample.distance_m - height_m)
-        measurement = HeightMeasurement(
-            height_m, quat_rotate(attitude, self._airframe.range_position_body_m), noise_m
-        )
-        self._camera_check.take_echo(sample.time_s, measurement)
-        return self._count("range", self._timeline.add(sample.time_s, measurement))
+        offset = quat_rotate(attitude, self._airframe.range_position_body_m)
+        return HeightMeasurement(height_m, offset, noise_m)
+
+    def _take(self, time_s: float, seen: PadObservation | RangeSample, measurement: PadInput) -> bool:
+        """Fuse what was made of something, and remember that for as long."""
+        taken = self._timeline.add(time_s, measurement)
+        if taken:
+            insort(self._fused, (time_s, seen), key=itemgetter(0))
+            before_s = self._fused[-1][0] - self._config.pad.remember_s
+            while self._fused[0][0] < before_s:
+                del self._fused[0]
+        return taken
+
+    def _in_ned(self, time_s: float, seen: PadObservation | RangeSample) -> PadInput | None:
+        if isinstance(seen, RangeSample):
+            return self._height(seen)
+        measurement: PadInput | None = BY_MESSAGE[type(seen)].in_ned(seen, self._exposure(time_s))
+        return measurement
 
     def add_sighting(self, sighting: PadSighting) -> bool:
         """Take what the camera has seen; see `observe`."""
@@ -254,16 +297,16 @@ class StateEstimator:
         return next((place for place, come in enumerate(exposed) if come), None)
 
     def _fuse(self, observation: PadObservation) -> bool:
-        kind, exposure = BY_MESSAGE[type(observation)], self._exposure(self._exposed_s(observation))
-        measurement = kind.in_ned(observation, exposure)
+        kind, time_s = BY_MESSAGE[type(observation)], self._exposed_s(observation)
+        measurement = self._in_ned(time_s, observation)
         if measurement is None:
             self._why_not = "the vehicle's own position is unknown"
             return self._count(kind.name, False)
-        taken = self._timeline.add(exposure.time_s, measurement)
-        if taken and isinstance(observation, PadSighting):
+        taken = self._take(time_s, observation, measurement)
+        if taken and isinstance(measurement, PadMeasurement) and isinstance(observation, PadSighting):
             variance_m2 = float(np.trace(measurement.covariance_ned_m2)) / 3.0
-            self._camera_check.take(exposure.time_s, observation.pad_position_body_m, variance_m2)
-            self._mount_check.take(exposure.time_s, observation.pad_position_body_m, variance_m2)
+            self._camera_check.take(time_s, observation.pad_position_body_m, variance_m2)
+            self._mount_check.take(time_s, observation.pad_position_body_m, variance_m2)
         return self._count(kind.name, taken)
 
     def _exposure(self, time_s: float) -> VehicleAtExposure:

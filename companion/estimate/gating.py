@@ -9,7 +9,7 @@ measurement.
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
@@ -122,6 +122,7 @@ class Timeline(Generic[S, Item]):
         self._target = target
         self._carrier = target if isinstance(target, LateUpdatePropagator) else None
         self._span_s = span_s
+        self._first = target.snapshot()
         self._times_s: list[float] = []
         self._items: list[Item] = []
         self._after: list[S] = []
@@ -147,10 +148,17 @@ class Timeline(Generic[S, Item]):
         self._forget()
         return True
 
+    def replace(self, since_s: float, entries: Sequence[tuple[float, Item]]) -> None:
+        """In place of all inputs since a time take these, in order, and not older."""
+        place = bisect_left(self._times_s, since_s)
+        self._times_s[place:] = [time_s for time_s, _ in entries]
+        self._items[place:] = [item for _, item in entries]
+        self._take_again(place)
+
     def _take_again(self, place: int) -> None:
         """Take all inputs from a place on."""
         if place < len(self._after):
-            self._target.restore(self._after[place - 1])
+            self._target.restore(self._after[place - 1] if place else self._first)
         del self._after[place:]
         for when_s, past in zip(self._times_s[place:], self._items[place:], strict=True):
             self._target.apply(when_s, past)

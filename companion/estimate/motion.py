@@ -7,6 +7,7 @@ start: only their differences are meaningful. NED, SI units, plain floats.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from typing import Final, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from companion.base.geometry import (
     EYE3,
+    GRAVITY_M_S2,
     ZERO3,
     FloatArray,
     Quaternion,
@@ -23,8 +25,10 @@ from companion.base.geometry import (
     quat_from_rotation_vector,
     quat_multiply,
     quat_normalise,
+    quat_rotate,
     rotation_vector_from_quat,
     scale,
+    subtract,
 )
 
 LEVER_STD_M: Final = 0.05  # of the IMU's place as told, an axis: people put boards up to 10 cm off
@@ -32,6 +36,7 @@ PREDICTED_S = 0.1  # beyond the newest sample an acceleration goes on for so lon
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_ACCELERATION_M_S2: Final = 4.0  # how hard the vehicle may accelerate in a gap of the IMU's stream
 UNSEEN_JERK_M_S3: Final = 6.0  # and how fast that changes
+WRONG_FOR_S: Final = 0.2  # an attitude, before it is corrected
 
 
 class VehiclePlace(NamedTuple):
@@ -47,7 +52,7 @@ class VehiclePlace(NamedTuple):
 
 
 class _Gap(NamedTuple):
-    """Between two samples; noise of this density, on an axis, makes in it what a step so long may miss."""
+    """A time whose motion is not known; noise of this density, on an axis, makes in it what may be missed."""
 
     start_s: float
     end_s: float
@@ -63,7 +68,8 @@ class MotionHistory:
 
     `noise_density_m2_s3` is the density of the acceleration's noise on an axis, lately, `turn_density_rad2_s`
     that of the rate of turn's. The accelerations are the centre of mass's, as far as the IMU's place from it
-    is known: `imu_covariance_m2` (3, 3) is its covariance.
+    is known: `imu_covariance_m2` (3, 3) is its covariance. What was made of attitudes since `turned_since_s`
+    has to be made again; whoever does so sets it back to infinity.
     """
 
     def __init__(self, span_s: float) -> None:
@@ -74,6 +80,7 @@ class MotionHistory:
         self._samples: list[_Sample] = []
         self._gaps: list[_Gap] = []
         self._corrected: Vector3 = ZERO3
+        self.turned_since_s = math.inf
         self._acceleration = self._lasting = ZERO3
 
     @property
@@ -134,12 +141,34 @@ class MotionHistory:
         return quat_normalise(part_way(samples[place - 1][0], samples[place][0], share))
 
     def turn(self, from_s: float, turn: Quaternion) -> None:
-        """Turn (about NED axes) the attitudes from a time on: they have proved wrong."""
-        first = bisect_left(self._times_s, from_s)
-        self._samples[first:] = [
-            (quat_multiply(turn, attitude), speed, place, corrected)
-            for attitude, speed, place, corrected in self._samples[first:]
-        ]
+        """Turn (about NED axes) what was measured from a time on: the attitudes have proved wrong.
+
+        Where a gap ends then, the turn is what it hid. Else the attitudes before were wrong, too, and are
+        corrected from then on; what they have made of the motion until now is not known.
+        """
+        newest_s, by = self._times_s[-1], ZERO3
+        first = bisect_left(self._times_s, min(from_s, newest_s))
+        hidden = next((gap for gap in self._gaps if gap.end_s == from_s), None)
+        if hidden is None:
+            by = rotation_vector_from_quat(turn)
+            density_m2_s3 = misled_velocity_m_s(by) ** 2 / LONGEST_STEP_S
+            self._gaps.append(_Gap(newest_s - LONGEST_STEP_S, newest_s, density_m2_s3))
+        self._corrected = add(self._corrected, by)
+        _, start_speed, start_place, _ = self._samples[first]
+        for number, (attitude, speed, place, corrected) in enumerate(self._samples[first:], first):
+            dt = self._times_s[number] - self._times_s[first]
+            sped = _turned(turn, subtract(speed, start_speed), dt)
+            coasted = add(start_place, scale(start_speed, dt))
+            moved = _turned(turn, subtract(place, coasted), 0.5 * dt * dt)
+            self._samples[number] = (
+                quat_multiply(turn, attitude),
+                add(start_speed, sped),
+                add(coasted, moved),
+                add(corrected, by),
+            )
+        self._acceleration = _turned(turn, self._acceleration, 1.0)
+        self._lasting = _turned(turn, self._lasting, 1.0)
+        self.turned_since_s = min(self.turned_since_s, from_s if hidden is None else hidden.start_s)
 
     def correct(self, turn_rad: Vector3) -> None:
         """The attitude has been corrected by a small rotation (rad, NED axes): later samples have it."""
@@ -244,6 +273,18 @@ def unseen_velocity_m2_s2(span_s: float) -> float:
     """
     unseen_s = max(span_s - LONGEST_STEP_S, 0.0)
     return (min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s) * unseen_s) ** 2
+
+
+def _turned(turn: Quaternion, gained: Vector3, weight: float) -> Vector3:
+    """An integral of acceleration, of which gravity's share, which is no force, does not turn with it."""
+    x, y, z = gained
+    north, east, down = quat_rotate(turn, (x, y, z - GRAVITY_M_S2 * weight))
+    return (north, east, down + GRAVITY_M_S2 * weight)
+
+
+def misled_velocity_m_s(correction_rad: Vector3) -> float:
+    """What a wrong attitude has made of gravity before it was corrected (m/s)."""
+    return GRAVITY_M_S2 * norm(correction_rad) * WRONG_FOR_S
 
 
 def turn_between(before: Quaternion, after: Quaternion) -> Vector3:

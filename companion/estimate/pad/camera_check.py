@@ -131,6 +131,10 @@ class CameraCheck:
         self._ratios: list[float] = []  # of the height that is seen to the echo's
         self._forget_scale()
 
+    def begin_motion(self) -> None:
+        """Forget the pad's motion, which was seen by attitudes that were wrong; scale and delay stay."""
+        self._time_s = -math.inf
+
     def _forget_scale(self) -> None:
         self._x[_K] = 1.0
         self._P[_K, :], self._P[:, _K] = 0.0, 0.0

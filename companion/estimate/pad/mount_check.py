@@ -61,6 +61,10 @@ class MountCheck:
         # known
         self.comparisons: tuple[SourceComparison, ...] = ()
 
+    def begin_motion(self) -> None:
+        """Forget the last sightings, which were turned by attitudes that were wrong."""
+        self._seen.clear()
+
     def take(self, time_s: float, pad_position_body_m: Vector3, variance_m2: float) -> None:
         """Take in a sighting at its corrected time; `variance_m2` is its position's, an axis."""
         attitude = self._motion.attitude(time_s)

@@ -17,7 +17,6 @@ import numpy as np
 
 from companion.base.geometry import (
     EYE3,
-    GRAVITY_M_S2,
     FloatArray,
     Quaternion,
     Vector3,
@@ -35,6 +34,7 @@ from companion.base.geometry import (
 )
 from companion.config import EkfConfig
 from companion.estimate.gating import Gate, normalised_innovation_squared
+from companion.estimate.motion import misled_velocity_m_s
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_inputs import (
     AttitudeStep,
@@ -63,7 +63,6 @@ STEP_TURN_STD_RAD: Final = math.radians(0.5)
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)
 LARGEST_CARRIED: Final = 0.02  # of a quaternion's component, by a late fix: 2 deg
-WRONG_FOR_S: Final = 0.2  # before it is corrected
 
 
 class VehicleEkf(EkfState):
@@ -281,8 +280,7 @@ class VehicleEkf(EkfState):
         tilt, heading = step.tilt_std_rad**2, step.heading_std_rad**2
         attitude = quat_normalise(quat_multiply(step.turn, self.attitude))
         self._start_attitude(attitude, np.diag((tilt, tilt, heading)))
-        turned_rad = norm(rotation_vector_from_quat(step.turn))
-        self._widen(model.VELOCITY, GRAVITY_M_S2 * turned_rad * WRONG_FOR_S)
+        self._widen(model.VELOCITY, misled_velocity_m_s(rotation_vector_from_quat(step.turn)))
 
     def _take_second(self, step: SecondAttitudeStep) -> None:
         """Another attitude; all of it is refused when its heading or its horizon cannot be."""

@@ -96,3 +96,29 @@ def test_state_as_of_a_time_is_the_one_after_the_last_input_before_it() -> None:
     assert timeline.as_of(0.5) is None
     assert timeline.as_of(1.5) == ((1.0, "a"),)
     assert timeline.as_of(9.0) == ((1.0, "a"), (2.0, "b"))
+
+
+@pytest.mark.parametrize("since_s", [0.0, 2.0, 2.5, 9.0])
+def test_inputs_since_a_time_are_replaced(since_s: float) -> None:
+    """Those before stay, be there any; and a late one still finds its place."""
+    recorder = InputRecorder()
+    timeline = Timeline(recorder, span_s=10.0)
+    for k in range(1, 5):
+        timeline.add(float(k), f"old {k}")
+    kept = [(float(k), f"old {k}") for k in range(1, 5) if k < since_s]
+    new = [(since_s + k, f"new {k}") for k in range(3)]
+    timeline.replace(since_s, new)
+    assert recorder.state == (*kept, *new)
+    assert timeline.as_of(since_s + 1.5) == (*kept, *new[:2])
+    timeline.add(since_s + 0.5, "late")
+    assert recorder.state == (*kept, new[0], (since_s + 0.5, "late"), *new[1:])
+
+
+def test_inputs_may_be_replaced_by_none() -> None:
+    recorder = InputRecorder()
+    timeline = Timeline(recorder, span_s=10.0)
+    timeline.add(1.0, "stays")
+    timeline.add(2.0, "goes")
+    timeline.replace(1.5, [])
+    assert recorder.state == ((1.0, "stays"),)
+    assert timeline.as_of(3.0) == recorder.state

@@ -5,8 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from companion.base.geometry import IDENTITY, quat_from_euler, yaw_from_quat
-from companion.estimate.motion import MotionHistory, unseen_velocity_m2_s2
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    IDENTITY,
+    add,
+    quat_from_euler,
+    quat_multiply,
+    quat_rotate,
+    rotation_vector_from_quat,
+    yaw_from_quat,
+)
+from companion.estimate.motion import MotionHistory, misled_velocity_m_s, unseen_velocity_m2_s2
 
 
 def filled(duration_s: float = 2.0, span_s: float = 5.0) -> MotionHistory:
@@ -124,6 +133,58 @@ def test_a_gap_is_forgotten_with_its_samples() -> None:
     for k in range(500):
         history.add(1.8 + k / 200, IDENTITY, (0.0, 0.0, 0.0))
     assert not history._gaps
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 0.3])
+def test_what_was_measured_with_a_wrong_attitude_is_turned(gap_s: float) -> None:
+    """Attitude and motion from then on are those of the right one; what a gap has hidden is no correction."""
+    turn, speed_m_s = quat_from_euler(0.08, -0.05, 0.3), 4.0
+    wrong, right = MotionHistory(5.0), MotionHistory(5.0)
+    for k in range(400):
+        t, off = k / 200 + gap_s * (k > 200), k > 200
+        attitude = quat_from_euler(0.1 * math.sin(3.0 * t), 0.0, 0.4 * t)
+        force = quat_rotate(attitude, (0.3, math.cos(5.0 * t), -10.0))
+        before = (speed_m_s, 0.0, 0.0) if k == 0 else (0.0, 0.0, 0.0)  # the integral starts anywhere
+        right_force = quat_rotate(turn, force) if off else force
+        wrong.add(t, attitude, add(add(force, before), (0.0, 0.0, GRAVITY_M_S2)))
+        right.add(
+            t,
+            quat_multiply(turn, attitude) if off else attitude,
+            add(add(right_force, before), (0.0, 0.0, GRAVITY_M_S2)),
+        )
+    from_s, newest_s = 201 / 200 + gap_s, wrong.newest_s
+    assert newest_s is not None
+    wrong.turn(from_s, turn)
+    assert wrong.turned_since_s == pytest.approx(1.0 if gap_s else from_s)
+    for start_s, end_s in (
+        (from_s, newest_s),
+        (from_s + 0.11, from_s + 0.5),
+        (newest_s - 0.2, newest_s + 0.05),
+    ):
+        for ours, expected in zip(
+            wrong.moved(start_s, end_s)[:2], right.moved(start_s, end_s)[:2], strict=True
+        ):
+            assert ours == pytest.approx(expected, abs=1e-9)
+        ours_q, expected_q = wrong.attitude(end_s), right.attitude(end_s)
+        assert ours_q == pytest.approx(expected_q)
+    corrected = rotation_vector_from_quat(turn)
+    assert wrong.corrected(0.9, from_s) == pytest.approx((0.0, 0.0, 0.0) if gap_s else corrected)
+    assert wrong.corrected(0.9, newest_s + 0.1) == pytest.approx((0.0, 0.0, 0.0) if gap_s else corrected)
+    assert wrong.corrected(from_s, newest_s) == (0.0, 0.0, 0.0)
+    unknown = wrong.moved(newest_s - 0.1, newest_s)[2]
+    if gap_s:
+        assert unknown is None
+    else:
+        assert unknown is not None
+        assert unknown[1, 1] == pytest.approx(misled_velocity_m_s(corrected) ** 2)
+
+
+def test_one_sample_can_be_turned() -> None:
+    history = MotionHistory(5.0)
+    history.add(0.0, IDENTITY, (0.0, 0.0, 0.0))
+    history.turn(0.0, quat_from_euler(0.1, 0.0, 0.0))
+    assert history.attitude(0.0) == pytest.approx(quat_from_euler(0.1, 0.0, 0.0))
+    assert np.isfinite(history.moved(-0.01, 0.01)[0]).all()
 
 
 def test_old_samples_are_forgotten_and_the_span_kept() -> None:
