@@ -126,6 +126,7 @@ class StateEstimator:
     def begin_checks(self) -> None:
         """Another mission, or another time: what was compared over the pad before says nothing any more."""
         self._camera_check.begin_anew()
+        self._mount_check.begin_anew()
 
     def recover(self, now_s: float) -> str | None:
         """On the ground: start anew where all of IMU or GPS has been refused for long; says so, else None."""

@@ -53,6 +53,10 @@ class MountCheck:
     ) -> None:
         self._motion = motion
         self._camera, self._camera_yaw_deg = camera_position_body_m, camera_yaw_deg
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget what was compared: another mission, before which the camera may have been mended."""
         self._seen: list[_Seen] = []
         self._compared_s = self._updated_s = -math.inf
         self._n11 = self._n12 = self._n22 = self._b1 = self._b2 = 0.0

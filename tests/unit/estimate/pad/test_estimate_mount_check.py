@@ -1,14 +1,16 @@
 """A camera that is turned against the vehicle's file is noticed by how the pad seems to move."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
-from companion.base.geometry import Vector3, add, quat_from_euler, quat_rotate
-from companion.base.messages import Quantity, SourceComparison
-from companion.base.second_sources import TABLE
+from companion.base.geometry import Vector3, add, quat_from_euler, quat_rotate, subtract
+from companion.base.messages import PadSighting, Quantity, SourceComparison
+from companion.base.second_sources import TABLE, refused
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.mount_check import MountCheck
+from tests.unit.estimate.estimate_flight import VEHICLE, EstimateFlight, feed, new_estimator, sprint
 from tests.unit.estimate.pad.pad_sway import FRAME_S, Sway, sightings
 
 CAMERA: Vector3 = (0.03, 0.0, 0.08)
@@ -77,3 +79,20 @@ def test_a_small_turn_shows_from_high_up() -> None:
 @pytest.mark.parametrize("late_s", [0.09, -0.09])
 def test_stamps_that_are_late_are_no_turn(late_s: float) -> None:
     assert checked(Sway(late_s, height_m=7.0)) is None
+
+
+def test_another_mission_is_not_refused_by_what_the_last_one_has_shown() -> None:
+    """The camera may have been mended, and nothing new is compared before the pad is seen again."""
+    estimator = new_estimator()
+    for _, sample in EstimateFlight(path=sprint, duration_s=16.0).samples:
+        if isinstance(sample, PadSighting):  # by a camera that is turned by a right angle
+            x, y, z = subtract(sample.pad_position_body_m, VEHICLE.camera_position_body_m)
+            turned = add((-y, x, z), VEHICLE.camera_position_body_m)
+            feed(estimator, replace(sample, pad_position_body_m=turned))
+        else:
+            feed(estimator, sample)
+        if Quantity.CAMERA_ROTATION in dict(refused(estimator.comparisons)):
+            break
+    assert Quantity.CAMERA_ROTATION in dict(refused(estimator.comparisons))
+    estimator.begin_checks()
+    assert list(refused(estimator.comparisons)) == []
