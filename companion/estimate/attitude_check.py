@@ -65,12 +65,16 @@ class AttitudeCheck:
             if ours is not None and due.time_s > self._last_s:
                 self._compare(due.time_s, ours, due.attitude)
 
-    def comparisons(self, rotation_covariance: FloatArray | None) -> tuple[SourceComparison, ...]:
-        """Of horizons and headings (deg); none before a second of reports.
+    def comparisons(
+        self, rotation_covariance: FloatArray | None, now_s: float
+    ) -> tuple[SourceComparison, ...]:
+        """Of horizons and headings (deg); none before a second of reports, or without any lately.
 
         `rotation_covariance` (3, 3): of our attitude, about NED axes (rad²).
         """
         if rotation_covariance is None or self._figures is None or self._last_s - self._since_s < FULL_S:
+            return ()
+        if now_s - self._last_s > FORGET_S:
             return ()
         north, east, down = rotation_covariance.diagonal().tolist()
         ours, theirs = (tuple(map(math.degrees, euler_from_quat(q))) for q in self._figures)

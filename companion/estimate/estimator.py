@@ -223,8 +223,9 @@ class StateEstimator:
     @property
     def comparisons(self) -> tuple[SourceComparison, ...]:
         """What has been measured by two sources, of the table of `companion.base.second_sources`."""
-        attitudes = self._attitude_check.comparisons(self._vehicle.rotation_covariance())
-        by_link = (*attitudes, *self._velocity_check.comparisons(self._vehicle.newest_s))
+        newest_s = self._vehicle.newest_s
+        attitudes = self._attitude_check.comparisons(self._vehicle.rotation_covariance(), newest_s)
+        by_link = (*attitudes, *self._velocity_check.comparisons(newest_s))
         return (*by_link, *self._mount_check.comparisons, *self._camera_check.comparisons)
 
     def add_range(self, sample: RangeSample) -> bool:

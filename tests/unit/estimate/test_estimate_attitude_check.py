@@ -44,7 +44,7 @@ def compared(
         if k % round(REPORT_S / IMU_S) == 0:
             theirs = quat_multiply(quat_from_euler(0.0, 0.0, north_rad), body(now_s - late_s))
             check.take(AutopilotAttitude(now_s, theirs))
-    return {found.quantity: found for found in check.comparisons(KNOWN)}
+    return {found.quantity: found for found in check.comparisons(KNOWN, until_s)}
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.05])
@@ -103,6 +103,8 @@ def test_after_a_silence_it_begins_again() -> None:
         if not 2.0 < now_s < 7.5:
             askew = quat_from_euler(0.5 if now_s < 5.0 else 0.0, 0.0, 0.0)
             check.take(AutopilotAttitude(now_s, quat_multiply(body(now_s), askew)))
-        if now_s == 2.0:
-            assert check.comparisons(KNOWN)
-    assert check.comparisons(KNOWN) == ()
+        if now_s == 4.0:
+            assert check.comparisons(KNOWN, now_s)
+        if 4.5 < now_s < 7.5:  # nothing that was said before the silence outlives it
+            assert check.comparisons(KNOWN, now_s) == ()
+    assert check.comparisons(KNOWN, 8.0) == ()
