@@ -52,6 +52,8 @@ class StandingHeight:
             for recent_m in self._recent_m.values():
                 recent_m.clear()
             return
+        if still_s >= _STILL_S and self._measured_s < now_s - still_s:
+            self.measured_m.clear()  # it stood elsewhere: on a bench, say
         echo, sight = inputs.range, inputs.pad
         echo_m = echo_height_m(echo, self._vehicle, now_s)
         if echo is not None and echo_m is not None and echo.distance_m > self._nearest_echo_m + _ECHO_NOISE_M:
@@ -101,8 +103,6 @@ class StandingHeight:
         recent_m.append(height_m)
         agree = len(recent_m) == _COUNT and max(recent_m) - min(recent_m) <= 3.0 * _ECHO_NOISE_M
         if agree and still_s >= _STILL_S:
-            if self._measured_s < now_s - still_s:
-                self.measured_m.clear()  # it stood elsewhere: on a bench, say
             self.measured_m[source] = median(recent_m), _MEDIAN_STD * stdev(recent_m)
             self._measured_s = now_s
 

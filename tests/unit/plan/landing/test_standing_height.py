@@ -74,6 +74,17 @@ def test_echoes_as_near_as_the_sensor_shows_at_all_say_nothing() -> None:
     assert height.comparisons == ()
 
 
+def test_what_was_measured_on_a_bench_says_nothing_on_the_ground_where_no_echo_comes() -> None:
+    height, w = stood(LEG_M, echo_m=ECHO_M + 0.8)
+    assert list(second_sources.refused(height.comparisons))
+    w.range_lost = True
+    for k in range(round(5.0 / STEP_S)):
+        w.acceleration = (0.0, 0.0, 1.0) if k < 10 else ZERO3  # carried from there
+        height.update(w.inputs(), w.now_s)
+        w.cycle()
+    assert height.comparisons == ()
+
+
 def test_the_pad_beneath_says_it_too_and_without_either_it_is_not_refused() -> None:
     by_pad, _ = stood(LEG_M - 0.08, on_pad=True)
     assert by_pad.measured_m["the pad"][0] == pytest.approx(LEG_M, abs=1e-6)
