@@ -10,7 +10,10 @@ class Debounce:
         self._since_s: dict[str, float] = {}
 
     def held_s(self, name: str, condition: bool, now_s: float) -> float:
-        """How long (s) the condition has held; negative when it does not."""
+        """How long (s) the condition has held; negative when it does not.
+
+        `now_s`: of the cycle, or of the measurement that says so, where a cycle may have none of its own.
+        """
         if not condition:
             self._since_s.pop(name, None)
             return -1.0

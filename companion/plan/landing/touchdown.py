@@ -248,7 +248,8 @@ class TouchdownSequence:
         echo_m = echo_height_m(echo, self._vehicle, now_s)
         below_m = math.inf if sight is None else sight.height_m
         deeper = unseen and echo_m is not None and echo_m > below_m + AWAY_M
-        gone = self._held.held_s("deeper", deeper, now_s) >= BUMP_S
+        # by the echoes' own times: one alone, however long none follows it, is one
+        gone = self._held.held_s("deeper", deeper, now_s if echo is None else echo.time_s) >= BUMP_S
         agrees = echo_m is not None and abs(echo_m - below_m) <= _AGREES_M
         believed = sight is not None and (sight.age_s <= c.blind_s or (agrees and self._within_hand(sight)))
         if believed and not gone:

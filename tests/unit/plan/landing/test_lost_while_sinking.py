@@ -6,6 +6,8 @@ import pytest
 
 from companion.base.geometry import Vector3
 from companion.base.messages import ActionKind, Phase
+from companion.plan.events import MissionEvent
+from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sight, sinking
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import line, still
 from tests.unit.plan.plan_harness import LEG_M, PlanWorld
@@ -34,6 +36,16 @@ def test_a_pad_that_is_gone_by_the_echoes_is_left_upward_at_once(speed_m_s: floa
     assert min(w.flight.heights_m[before:]) > LEG_M + 0.02
     assert w.velocity[2] < 0.1
     assert any("pad no longer below" in text for text in w.flight.told("phase"))
+
+
+def test_one_far_echo_and_a_lost_one_after_it_are_no_pad_that_is_gone() -> None:
+    """GIVEN ten echoes a second THEN the only far one is one sign, for as many cycles as it is the newest."""
+    touchdown, unseen, far_m = sinking(), sight(height=LEG_M + 0.2, age=0.4), 1.0
+    for k in range(6):
+        assert touchdown.step(unseen, touchdown.now_s + CYCLE_S, echo_m=far_m, echo_age_s=k * CYCLE_S) is None
+    # WHEN more of them come THEN it is left
+    found = touchdown.cycles([unseen] * 8, echo_m=far_m)
+    assert found[:1] == [MissionEvent.PAD_LOST]
 
 
 def fall_away(w: PlanWorld) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
@@ -86,14 +87,17 @@ class Attempt:
         now_s: float,
         *,
         echo_m: float | None = None,
+        echo_age_s: float = 0.0,
         landed: LandedState = LandedState.IN_AIR,
         silent_s: float = 0.0,
         imu_age_s: float | None = None,
     ) -> DetectedEvent | None:
-        """One cycle; the vehicle's own state is known where its IMU has an age."""
+        """One cycle, from which the sight's times count; an IMU with an age makes our own state known."""
+        if seen is not None:
+            seen = replace(seen, time_s=now_s + seen.time_s, seen_time_s=now_s + seen.seen_time_s)
         self.now_s, self._seen = now_s, seen
         vehicle = None if imu_age_s is None else vehicle_state(now_s, imu_age_s=imu_age_s)
-        echo = None if echo_m is None else RangeSample(now_s, echo_m)
+        echo = None if echo_m is None else RangeSample(now_s - echo_age_s, echo_m)
         autopilot = AutopilotState(now_s, landed=landed, connected=True)
         inputs = PlanInputs(vehicle, None, autopilot, range=echo, link=LinkHealth(silent_s))
         detected = touch_down(self._sequence, self.state, seen, inputs, now_s)
