@@ -135,7 +135,7 @@ class LandDetector:
         surely_m = seen.clearance_m - SIGMA_THRESHOLD * seen.height_std_m
         # the camera sees a millimetre: from half the margin it falls with 0.4 m/s, from 3 cm with 0.8
         risen = surely_m > self._stood_m + 0.5 * self._config.contact_margin_m
-        again = self._held.held_s("risen", risen, now_s) > 0.0  # in one sighting more
+        again = self._held.held_s("risen", risen, seen.seen_time_s) > 0.0  # in one sighting more
         return "link silent: the vehicle left the pad" if again else ""
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:

@@ -1,11 +1,12 @@
 """When rest alone proves a landing: the motors stop a second after the contact, and no sooner."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2
-from companion.base.messages import ActionKind, AutopilotState, LandedState, PadState, Phase
+from companion.base.messages import ActionKind, AutopilotState, LandedState, LinkHealth, PadState, Phase
 from companion.config import TouchdownConfig
 from companion.plan.events import MissionEvent
 from companion.plan.inputs import PlanInputs
@@ -61,6 +62,24 @@ def test_without_the_imu_the_feet_have_to_be_shown_down_for_three_seconds(
 ) -> None:
     at_s = rests_at_s(lambda _t: sight(height=LEG_M), felt=felt, silent_s=silent_s)
     assert at_s == pytest.approx(3.0, abs=CYCLE_S)
+
+
+def test_a_single_high_sighting_in_a_silence_does_not_show_that_the_vehicle_left() -> None:
+    standing = LandDetector(TouchdownConfig(), VEHICLE, 0.0)
+    first = replace(sight(height=LEG_M), time_s=0.0, seen_time_s=0.0)
+    standing.off_by_itself(first, heard(0.0), 0.0)
+    high = replace(sight(height=LEG_M + 0.1), time_s=0.1, seen_time_s=0.1)
+    for k in range(4):
+        now_s = 0.1 + k * CYCLE_S
+        assert standing.off_by_itself(replace(high, time_s=now_s), heard(now_s, 0.4), now_s) == ""
+    again = replace(high, time_s=0.25, seen_time_s=0.2)
+    assert "left the pad" in standing.off_by_itself(again, heard(0.25, 0.4), 0.25)
+
+
+def heard(now_s: float, silent_s: float = 0.0) -> PlanInputs:
+    """What a standing vehicle knows besides the pad, `silent_s` after the autopilot's last sign."""
+    autopilot = AutopilotState(now_s, landed=LandedState.IN_AIR)
+    return PlanInputs(vehicle_state(now_s), None, autopilot, link=LinkHealth(silent_s))
 
 
 def test_the_motors_are_stopped_a_second_after_the_contact_though_the_autopilot_doubts_it() -> None:
