@@ -43,7 +43,8 @@ from companion.plan.speed.fuzzy_rules import load_rules
 from companion.sense.gps.neo6m import Neo6m
 from companion.sense.imu.i2c import SensorError
 from companion.sense.imu.mpu9250 import Mpu9250
-from companion.sense.range.ultrasonic import SpikeFilter, Ultrasonic, Us100
+from companion.sense.range.spike_filter import SpikeFilter
+from companion.sense.range.ultrasonic import Ultrasonic, Us100
 from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.devices.neo6m import nmea, ubx
 from sitl.scenario.scenario import Scenario, load_airframe, load_scenario

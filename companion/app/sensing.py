@@ -59,6 +59,7 @@ from companion.sense.gps.neo6m import Neo6m
 from companion.sense.imu.i2c import SensorError
 from companion.sense.imu.mpu9250 import Mpu9250
 from companion.sense.range.range_finder import RangeFinder, make_range_finder
+from companion.sense.range.spike_filter import SpikeFilter
 from companion.sense.vision.pipeline import VisionResult
 
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
@@ -145,6 +146,7 @@ class Sensing:
         self._clock, self._log, self._notify = clock, log, notify
         self._frame_time_offset_s = frame_time_offset_s
         self.pace = VisionPace(notify)
+        self._spikes = SpikeFilter(config.sense.range)
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
         self.last_sighting: PadSighting | None = None
@@ -310,6 +312,9 @@ class Sensing:
             raise
 
     def _take_range(self, sample: RangeSample) -> None:
+        """Take an echo, whichever way it came, unless it is a spike."""
+        if self._spikes.step(sample) is None:
+            return
         self.last_range = sample
         self._estimator.add_range(sample)
         self._log.write("range", sample, self._clock.now_s())

@@ -1,7 +1,7 @@
-"""The downward ultrasonic, whichever it is: distances along its axis, without spikes.
+"""The downward ultrasonic, whichever it is: distances along its axis, spikes among them.
 
 `SerialRange` joins a serial line and the driver of what talks on it (`ultrasonic`); `EchoRange`
-times pulses on GPIO pins (`echo_pins`). Both pass what they find through a `SpikeFilter`.
+times pulses on GPIO pins (`echo_pins`).
 """
 
 import asyncio
@@ -13,7 +13,7 @@ from companion.base.messages import RangeSample
 from companion.config import RangeConfig
 from companion.sense.imu.i2c import SensorError
 from companion.sense.range.echo_pins import EchoPins, EchoPulse
-from companion.sense.range.ultrasonic import SILENCE_S, SpikeFilter, Ultrasonic, Us100
+from companion.sense.range.ultrasonic import SILENCE_S, Ultrasonic, Us100
 
 _SOUND_AT_0_C_M_S: Final = 331.3
 _SOUND_PER_C_M_S: Final = 0.606
@@ -62,7 +62,6 @@ class SerialRange:
         self._port = port
         self._driver: Ultrasonic | Us100 = Us100(config) if config.kind == "polled" else Ultrasonic(config)
         self._patience_s = 0.25 / config.rate_hz if config.kind == "polled" else None
-        self._filter = SpikeFilter(config)
         self._clock = clock
 
     @property
@@ -81,8 +80,7 @@ class SerialRange:
                 data = await self._port.read()
         except TimeoutError:
             return []
-        samples = self._driver.feed(data, self._clock.now_s())
-        return [good for sample in samples if (good := self._filter.step(sample)) is not None]
+        return self._driver.feed(data, self._clock.now_s())
 
 
 class EchoRange:
@@ -92,7 +90,6 @@ class EchoRange:
         self._pins = pins
         self._config = config
         self._clock = clock
-        self._filter = SpikeFilter(config)
         self._speed_m_s = _SOUND_AT_0_C_M_S + _SOUND_PER_C_M_S * config.air_temperature_c
         self._next_s = -math.inf
         self._heard_s: float | None = None
@@ -115,8 +112,7 @@ class EchoRange:
             return []
         self._heard_s = self._clock.now_s()
         sample = self._sample(pulse)
-        good = None if sample is None else self._filter.step(sample)
-        return [] if good is None else [good]
+        return [] if sample is None else [sample]
 
     def _sample(self, pulse: EchoPulse) -> RangeSample | None:
         """The sound is under way for as long as the pulse lasts; half way it meets the surface."""

@@ -20,7 +20,7 @@ from companion.app.hardware import AwaitedBus, AwaitedPort, AwaitedTransport, Ha
 from companion.app.sensing import SEARCH_LOOK_S, Notify, Sensing
 from companion.base.clock import Clock
 from companion.base.errors import ConfigError, DeviceMissing
-from companion.base.messages import Frame, PadBeacon, PadObservation, PadPrior
+from companion.base.messages import Frame, PadBeacon, PadObservation, PadPrior, RangeSample
 from companion.config import CameraConfig, CompanionConfig, SenseConfig, VehicleConfig, find_file, load_model
 from companion.config.reading import validate
 from companion.flightlog.record import FlightLog
@@ -293,6 +293,18 @@ async def test_a_port_that_is_not_there_is_told_once_and_its_silence_only_when_i
     after = {text for time_s, text in told if time_s > PLUGGED_IN_S}
     assert after >= {"gps is back", "ultrasonic is back", "ultrasonic: nothing received"}
     assert "NEO-6M: nothing received: check its power and wiring" in after
+
+
+@in_virtual_time
+async def test_a_spike_of_the_autopilots_rangefinder_is_kept_out_as_one_of_our_own_is() -> None:
+    samples = RecentSamples()
+    sensing = vision_task(SimpleNamespace(next=asyncio.Event().wait), samples, lambda *_: None)
+    taken = list[float | None]()
+    for k, distance_m in enumerate((2.0, 2.0, 0.4, 1.95, 1.9)):
+        sensing.take_samples([RangeSample(0.05 * k, distance_m)])
+        taken.append(None if sensing.last_range is None else sensing.last_range.distance_m)
+    assert taken == [None, 2.0, 2.0, 1.95, 1.9]
+    assert [sample.distance_m for sample in samples.range] == [2.0, 1.95, 1.9]
 
 
 # ---------------- The app's own vision task on a camera that is lost and comes back, in virtual time
