@@ -140,8 +140,8 @@ class TouchdownConfig(StrictModel):
     changes its course often"""
     overdue_s: float = Field(default=1.5, ge=0.3, le=10.0)
     """If there is no contact within this time after the expected one, the vehicle climbs and tries again; if
-    a height shows that the feet are down, LAND is commanded instead. Raise it for a pad whose height is
-    uncertain"""
+    a height shows that the feet are down, or the vehicle has not sunk for as long, LAND is commanded instead.
+    Raise it for a pad whose height is uncertain"""
     escape_lateral_m: float = Field(default=0.18, gt=0.0, le=1.0)
     """Lateral offset in the final descent beyond which the vehicle climbs and tries again. Larger is worse:
     a foot may miss the pad. Raise it for a large pad, lower it for a small one"""
@@ -414,7 +414,9 @@ class PlanConfig(StrictModel):
     def _a_try_fits_its_phase(self) -> PlanConfig:
         """Else the phase's time hands back in the middle of a try, however many are left."""
         c, limit_s = self.touchdown, self.mission.phases.touchdown_s
-        down_s = c.blend_s + self.landing.wait_height_m / c.contact_speed_m_s + c.overdue_s + c.land_after_s
+        # as long again as a contact is overdue it may take until what stands is told
+        missed_s = 2.0 * c.overdue_s
+        down_s = c.blend_s + self.landing.wait_height_m / c.contact_speed_m_s + missed_s + c.land_after_s
         if c.giving_up_s + down_s > limit_s:
             raise ValueError(
                 f"mission.phases.touchdown_s {limit_s:g}: expected at least {c.giving_up_s + down_s:.1f}, "

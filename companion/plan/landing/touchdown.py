@@ -22,7 +22,8 @@ and, by the mission's table, the pad is inside the fence until the landing ends.
   2. contact, by its filter, or by echoes alone while the pad is unseen for `blind_s`: CONTACT;
   3. contact begins to show, or the IMU is silent: nothing else counts;
   4. the pad lost: PAD_LOST with room to rise, else PAD_GONE;
-  5. no contact in time: PAD_GONE if a height says that the feet are down, else MISALIGNED;
+  5. no contact in time: PAD_GONE if a height says that the feet are down, or once no sink has been felt for
+     as long; else, of a vehicle that sinks, MISALIGNED;
   6. too fast, too much tilt or aside, with room: BREAK_OFF;
   7. so far aside that a foot may miss the pad: MISALIGNED, even without room.
 """
@@ -48,8 +49,14 @@ from companion.plan.landing.contact import (
     echo_height_m,
     imu_fresh,
 )
-from companion.plan.landing.contact_filter import SINK_TAU_S, ContactFilter, feet_motion, lowest_foot_m
-from companion.plan.landing.levelling import Levelling, TiltPrediction, level_at
+from companion.plan.landing.contact_filter import (
+    SINK_TAU_S,
+    ContactFilter,
+    FeetMotion,
+    feet_motion,
+    lowest_foot_m,
+)
+from companion.plan.landing.levelling import SLOWEST_SINK, Levelling, TiltPrediction, level_at
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m
@@ -185,6 +192,7 @@ class TouchdownSequence:
         """Begin to sink."""
         c = self._config
         self._gives_way.step_s(now_s)
+        self._held.end()
         self._lowest_m = math.inf
         self.contact = ContactFilter(c, self._leg_std_m)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
@@ -215,12 +223,14 @@ class TouchdownSequence:
             hangs_m=hangs_m,
         )
         self.contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
+        blind = sight is not None and sight.age_s > self._config.blind_s
+        stops = obeys and _stopped(feet, inputs.vehicle if blind else None)
+        stands_s = self._held.held_s("stands", stops, feet.felt_s)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         feet_m = self._vehicle.leg_height_m + hangs_m + self._config.contact_margin_m
         short = echo_m is not None and echo_m <= feet_m
         within_hand = obeys and sight is not None and self._within_hand(sight, unfelt_s)
         self._short_echoes.note(inputs.range if within_hand and short else None)
-        blind = sight is not None and sight.age_s > self._config.blind_s
         if self.contact.contact:
             return MissionEvent.CONTACT, self.contact.in_words()
         if blind and self.feet_down(now_s):
@@ -232,7 +242,8 @@ class TouchdownSequence:
         if (lost := self._lost(sight, inputs.range, now_s)) is not None:
             return lost
         assert sight is not None
-        return self._go_down(sight, asked_m_s, now_s, low=feet.low(self._config.contact_margin_m))
+        down = feet.low(self._config.contact_margin_m) or stands_s >= self._config.overdue_s
+        return self._go_down(sight, asked_m_s, now_s, down=down, stopped=stands_s >= 0.0)
 
     def feet_down(self, now_s: float) -> bool:
         """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
@@ -264,14 +275,17 @@ class TouchdownSequence:
     def _within_hand(self, sight: PadState, unfelt_s: float = 0.0) -> bool:
         return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + WITHIN_HAND_M
 
-    def _go_down(self, sight: PadState, asked_m_s: float, now_s: float, *, low: bool) -> DetectedEvent | None:
+    def _go_down(
+        self, sight: PadState, asked_m_s: float, now_s: float, *, down: bool, stopped: bool
+    ) -> DetectedEvent | None:
         overdue_s = self._config.overdue_s
         if now_s > self._contact_due_s + overdue_s:
             overdue = f"no contact {overdue_s:.1f} s after the expected time"
-            if low:
+            if down:
                 return MissionEvent.PAD_GONE, overdue
-            self._lift_off(sight, now_s)
-            return MissionEvent.MISALIGNED, overdue
+            if not stopped:  # it may stand: that takes as long to be told
+                self._lift_off(sight, now_s)
+                return MissionEvent.MISALIGNED, overdue
         # Below twice contact_margin_m the reference is left to run ahead, so that a vehicle that stands is
         # told by not following it.
         high = sight.height_m > self._low_m
@@ -437,3 +451,14 @@ class TouchdownSequence:
 
     def _stay_down(self, now_s: float) -> None:
         self._generator.start("pad", Motion((0.0, 0.0, -self._vehicle.leg_height_m)), now_s)
+
+
+def _stopped(feet: FeetMotion, vehicle: VehicleState | None) -> bool:
+    """Whether it neither sinks nor rises by half of the sink asked for, and no height has it surely higher.
+
+    What is told to sink and does not stands on something. Of a pad that is unseen for long no motion is
+    known: then the `vehicle`'s own counts.
+    """
+    sink_m_s = feet.sink_m_s if vehicle is None else vehicle.velocity_ned_m_s[2]
+    slow = sink_m_s is not None and abs(sink_m_s) <= SLOWEST_SINK * feet.asked_m_s
+    return slow and not feet.surely_over(WITHIN_HAND_M)

@@ -165,7 +165,7 @@ def test_every_shipped_settings_file_loads() -> None:
             "plan: {landing: {approach_height_m: 1, wait_height_m: 1.2}}\n",
             "approach_height_m: expected at least wait_height_m (1.2)",
         ),
-        ("plan: {touchdown: {gentle_wait_s: 9}}\n", "mission.phases.touchdown_s 45: expected at least 59.1"),
+        ("plan: {touchdown: {gentle_wait_s: 9}}\n", "mission.phases.touchdown_s 45: expected at least 60.6"),
         ("sense: 3\n", "sense: expected keys with values, found 3"),
     ],
 )

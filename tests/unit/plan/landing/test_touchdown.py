@@ -277,6 +277,22 @@ def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
     assert touchdown.now_s == pytest.approx(MISSED_S, abs=0.1)
 
 
+@pytest.mark.parametrize("stands", [True, False])
+def test_what_has_not_sunk_for_as_long_as_the_contact_is_overdue_stands_and_is_not_lifted(
+    stands: bool,
+) -> None:
+    """No echo comes from so near, and the pad fills the picture: nothing but the sink tells."""
+    touchdown, found = sinking(), list[MissionEvent]()
+    touchdown.now_s = 0.2
+    while not found and touchdown.state is State.SINK and touchdown.now_s < 10.0:
+        stopped = stands and touchdown.now_s > MISSED_S - CONFIG.overdue_s + 0.1
+        velocity = (0.0, 0.0, 0.0 if stopped else CONFIG.contact_speed_m_s)
+        found = touchdown.cycles([sight(height=LEG_M + 0.05, velocity=velocity, age=1.0)])
+    assert found == ([] if stands else [MissionEvent.MISALIGNED])
+    assert (touchdown.state is State.SET_DOWN) == stands
+    assert touchdown.now_s == pytest.approx(MISSED_S, abs=0.25)
+
+
 def test_a_contact_is_not_overdue_while_the_feet_may_stand() -> None:
     """Legs longer than told touch late: half a second before the miss they bear, a second shows it."""
     touchdown = sinking()
