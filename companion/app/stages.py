@@ -240,7 +240,7 @@ class Stages:
             **self.sensing.calibrations,
             **({} if mount is None else {"mount": mount}),
         )
-        standing_height = StandingHeight(vehicle, config.sense.range.minimum_m)
+        standing_height = StandingHeight(vehicle)
         # of a mission; given why it stands by, if it does
         self.make_planner = _planner_maker(config, vehicle, pad, standing_height)
         self.sources = SourceWatch(estimator, session, standing_height, config.estimate, vehicle, notify)

@@ -103,9 +103,18 @@ class GpsConfig(StrictModel):
     """Position of the antenna from the centre of mass, FRD; measure it on your vehicle"""
 
 
+# Data sheets: they report whatever is nearer than this as about this. A JSN-SR04T's is "20 cm" to "25 cm".
+_FLOORS_M: Final = {"A02YYUW": 0.03, "JSN-SR04T": 0.25, "US-100": 0.03, "HC-SR04": 0.03}
+
+
 class RangeConfig(StrictModel):
     """Downward ultrasonic: a JSN-SR04T or A02YYUW (`frames`), a US-100 (`polled`), an HC-SR04 (`gpio`)."""
 
+    sensor: Literal["A02YYUW", "JSN-SR04T", "US-100", "HC-SR04"] = Field(
+        default="A02YYUW", json_schema_extra=OPERATOR
+    )
+    """The rangefinder's model, for the least distance that it measures: 0.25 m for a JSN-SR04T, else 0.03;
+    set it to the sensor that is mounted, the nearest one in that for another"""
     kind: Literal["frames", "polled", "gpio"] = Field(default="frames", json_schema_extra=OPERATOR)
     """`frames`: a serial port with 4-byte frames; `polled`: a US-100, polled over a serial port; `gpio`:
     trigger and echo pins; set it to the sensor that is mounted"""
@@ -120,8 +129,9 @@ class RangeConfig(StrictModel):
     air_temperature_c: float = Field(default=20.0, ge=-30.0, le=50.0)
     """Air temperature, for the speed of sound (gpio); an error of 10 °C makes the height wrong by nearly 2
     %. Set it to the day's temperature"""
-    minimum_m: float = Field(default=0.03, ge=0.02, le=0.5)
-    """Shorter distances are refused; raise it if legs or ground give false ones"""
+    minimum_m: float | None = Field(default=None, ge=0.02, le=0.5)
+    """This distance and shorter ones are not used: a sensor that reports them tells only that something is
+    nearer; none: the sensor's least distance. Raise it if legs give false ones"""
     maximum_m: float = Field(default=4.5, ge=0.5, le=10.0)
     """Longer distances are refused; set it to the sensor's range"""
     maximum_speed_m_s: float = Field(default=3.0, ge=0.5, le=20.0)
@@ -136,9 +146,18 @@ class RangeConfig(StrictModel):
 
     @model_validator(mode="after")
     def _measures_something(self) -> RangeConfig:
-        if self.minimum_m >= self.maximum_m:
+        if self.floor_m >= self.maximum_m:
             raise ValueError(f"maximum_m {self.maximum_m:g}: expected more than minimum_m")
         return self
+
+    @property
+    def floor_m(self) -> float:
+        """Up to where a reported distance tells only that something is nearer."""
+        return _FLOORS_M[self.sensor] if self.minimum_m is None else self.minimum_m
+
+    def measures(self, distance_m: float) -> bool:
+        """Whether a reported distance is one."""
+        return self.floor_m < distance_m <= self.maximum_m
 
 
 class AutopilotSensorsConfig(StrictModel):

@@ -186,7 +186,8 @@ class SensorMessages:
         if echo is None or echo.time_s <= self._echo_sent_s:
             return None
         self._echo_sent_s = echo.time_s
-        return distance_sensor(self._boot_us(echo.time_s) // 1000, echo.distance_m, RangeErrors())
+        bounds = self._sensors.range_bounds
+        return distance_sensor(self._boot_us(echo.time_s) // 1000, echo.distance_m, bounds)
 
     def _boot_us(self, time_s: float) -> int:
         booted_s = self._autopilot.booted_s

@@ -220,6 +220,12 @@ class SensorSettings(StrictModel):
     range_noise_factor: float = Field(
         default=1.0, ge=0.0, le=20.0, description="Factor on the rangefinder's noise"
     )
+    range_minimum_m: float = Field(
+        default=0.03,
+        ge=0.0,
+        le=0.5,
+        description="Distance that the rangefinder reports for anything nearer; a JSN-SR04T's is 0.2 to 0.25",
+    )
     gps_delay_s: float = Field(default=0.12, ge=0.0, le=1.0, description="Delay from a fix to its message")
     gps_wake_baud: Literal[4800, 9600, 19200, 38400, 57600, 115200] = Field(
         default=9600, description="Baud rate of the receiver until it is configured"

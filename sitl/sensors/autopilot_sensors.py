@@ -90,6 +90,7 @@ class SimulatedAutopilotSensors:
         self.inertial = ImuSensor(errors.imu, imu_rng, dt_s, body_axes, imu_filter)
         self._mag = MagSensor(errors.magnetometer, mag_rng, body_axes)
         self._gps = GpsSensor(errors.gps, gps_rng, home)
+        self.range_bounds = errors.range
         self._range = RangeSensor(errors.range, range_rng)
         self._field_ned_ut = field_ned_ut
         self.deck_field_ned_ut = ZERO3  # of what is beneath, in addition

@@ -142,6 +142,7 @@ def sensor_errors(settings: SensorSettings, vibration: float = 1.0) -> SensorErr
             echo,
             noise_m=echo.noise_m * settings.range_noise_factor,
             noise_share=echo.noise_share * settings.range_noise_factor,
+            minimum_m=settings.range_minimum_m,
         ),
     )
 

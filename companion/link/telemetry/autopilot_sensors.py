@@ -28,7 +28,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, scale
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
-from companion.config import SenseConfig
+from companion.config import RangeConfig, SenseConfig
 from companion.link.codec import Message, mavlink, message_number
 from companion.link.timesync import BootClock, Instant
 
@@ -120,15 +120,18 @@ def gps_fix(message: Message, time_s: float) -> GpsFix | None:
     )
 
 
-def range_sample(message: Message, time_s: float, minimum_m: float, maximum_m: float) -> RangeSample | None:
-    """DISTANCE_SENSOR that looks down, within the sensor's own bounds and those given (m)."""
+def range_sample(message: Message, time_s: float, bounds: RangeConfig) -> RangeSample | None:
+    """DISTANCE_SENSOR that looks down, within the sensor's own bounds and those given.
+
+    At `min_distance` it may be nearer: many sensors report that for anything nearer.
+    """
     distance_cm, distance_m = message.current_distance, message.current_distance * 0.01
     refused = (
         not looks_down(message),
         message.signal_quality == _SIGNAL_INVALID,
         _LARGEST_VARIANCE_CM2 < message.covariance < _UNKNOWN_U8,
-        not max(message.min_distance, 1) <= distance_cm <= message.max_distance,
-        not minimum_m <= distance_m <= maximum_m,
+        not message.min_distance < distance_cm <= message.max_distance,
+        not bounds.measures(distance_m),
     )
     return None if any(refused) else RangeSample(time_s, distance_m)
 
@@ -317,9 +320,7 @@ class TelemetrySensors:
             return  # a second one is mounted elsewhere
         self._heard_s[_RANGE] = now_s
         if (instant := self._instant("range", message, now_s)) is not None:
-            bounds = self._config.range
-            sample = range_sample(message, instant.time_s, bounds.minimum_m, bounds.maximum_m)
-            self._use("range", sample, now_s)
+            self._use("range", range_sample(message, instant.time_s, self._config.range), now_s)
 
     def _instant(self, stream: str, message: Message, now_s: float) -> Instant | None:
         instant = self._clock.instant(stream, stamp_s(message), now_s)

@@ -33,9 +33,9 @@ _MEDIAN_STD: Final = math.sqrt(0.5 * math.pi / _COUNT)  # of the median of so ma
 class StandingHeight:
     """`update` every cycle, from the app's start on; what it has learnt outlives a mission."""
 
-    def __init__(self, vehicle: VehicleConfig, nearest_echo_m: float = 0.0) -> None:
-        """`nearest_echo_m`: what is nearer may show as this."""
-        self._vehicle, self._nearest_echo_m = vehicle, nearest_echo_m
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        """Nothing is learnt yet."""
+        self._vehicle = vehicle
         self._held = Debounce()
         # by their source: when the newest was measured, and the last heights in a row
         self._newest_s = dict.fromkeys(_BELOW_STD_M, -math.inf)
@@ -56,7 +56,7 @@ class StandingHeight:
             self.measured_m.clear()  # it stood elsewhere: on a bench, say
         echo, sight = inputs.range, inputs.pad
         echo_m = echo_height_m(echo, self._vehicle, now_s)
-        if echo is not None and echo_m is not None and echo.distance_m > self._nearest_echo_m + _ECHO_NOISE_M:
+        if echo is not None and echo_m is not None:
             self._learn("the rangefinder", echo.time_s, echo_m, still_s, now_s)
         if sight is not None and self._stands_on(sight):
             self._learn("the pad", sight.seen_time_s, sight.height_m, still_s, now_s)

@@ -117,6 +117,6 @@ class EchoRange:
     def _sample(self, pulse: EchoPulse) -> RangeSample | None:
         """The sound is under way for as long as the pulse lasts; half way it meets the surface."""
         distance_m = 0.5 * self._speed_m_s * (pulse.fall_s - pulse.rise_s)
-        if not self._config.minimum_m <= distance_m <= self._config.maximum_m:
+        if not self._config.measures(distance_m):
             return None
         return RangeSample(0.5 * (pulse.rise_s + pulse.fall_s), distance_m)

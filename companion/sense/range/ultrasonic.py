@@ -1,6 +1,7 @@
 """Downward ultrasonics on a serial line, 9600 8N1: bytes to distances along their axis. No I/O here.
 
-A distance of 0, or beyond the range, is "no echo".
+A distance of 0, or beyond the range, is "no echo". One at the sensor's floor or below tells only that
+something is nearer than that: it is no distance either.
 
 One that talks by itself (`Ultrasonic`: JSN-SR04T in serial mode, A02YYUW and alike) sends a frame every 50 to
 100 ms: 0xFF, distance high, distance low (mm), low byte of the sum of the three.
@@ -61,7 +62,7 @@ class _SerialUltrasonic:
         `time_s` is when the sound met the surface: half of its way before the sensor hears it.
         """
         distance_m = distance_mm / 1000.0
-        if not self._config.minimum_m <= distance_m <= self._config.maximum_m:
+        if not self._config.measures(distance_m):
             return []
         return [RangeSample(began_s - distance_m / SPEED_OF_SOUND_M_S, distance_m)]
 

@@ -298,7 +298,7 @@ async def _range(config: CompanionConfig) -> list[Finding]:
     if finder.problem is not None:
         return [_RANGE.fail("echo", f"{where}: {finder.problem}", "wiring, sense.range.kind, its supply")]
     if not samples:
-        hint = f"it needs a surface within {bounds.minimum_m:g} and {bounds.maximum_m:g} m, square to it"
+        hint = f"it needs a surface within {bounds.floor_m:g} and {bounds.maximum_m:g} m, square to it"
         return [_RANGE.warn("echo", f"{where}: answers, and no distance to use", hint)]
     distance_m = median(sample.distance_m for sample in samples)
     return [_RANGE.ok("echo", f"{distance_m:.2f} m, {len(samples) / ECHO_TIMEOUT_S:.0f} a second")]

@@ -27,7 +27,7 @@ class Placed(StateEstimator):
 
 def watch(config: EstimateConfig, told: list[str]) -> tuple[Placed, SourceWatch]:
     estimator = Placed(config, VEHICLE, (0.0, 0.0, 0.0), 0.65)
-    standing = StandingHeight(VEHICLE, 0.05)
+    standing = StandingHeight(VEHICLE)
 
     def notify(kind: str, text: str, severity: Severity) -> None:
         told.append(text)

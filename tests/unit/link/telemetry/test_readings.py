@@ -6,6 +6,7 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3
 from companion.base.messages import RangeSample
+from companion.config import RangeConfig
 from companion.link.telemetry.autopilot_sensors import gps_fix, imu_sample, mag_sample, range_sample, stamp_s
 from tests.unit.link.telemetry.autopilot_readings import distance, gps, highres, raw, scaled
 
@@ -129,7 +130,7 @@ def test_no_fix_is_no_fix(changes: dict[str, int]) -> None:
 
 
 def ranged(**changes: int) -> RangeSample | None:
-    return range_sample(distance(T, **changes), T, 0.03, 4.5)
+    return range_sample(distance(T, **changes), T, RangeConfig())
 
 
 def test_a_rangefinder_that_looks_down_gives_metres() -> None:
@@ -142,10 +143,11 @@ def test_a_rangefinder_that_looks_down_gives_metres() -> None:
         {"orientation": 0},
         {"orientation": 24},
         {"current_distance": 19},
+        {"current_distance": 20},  # or anything nearer
         {"current_distance": 401},
         {"current_distance": 0, "min_distance": 0},
         {"current_distance": 500, "max_distance": 1000},
-        {"current_distance": 2, "min_distance": 0},
+        {"current_distance": 3, "min_distance": 0},
         {"signal_quality": 1},
         {"covariance": 37},
         {"covariance": 254},
@@ -158,7 +160,8 @@ def test_a_range_that_means_nothing_is_refused(changes: dict[str, int]) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"current_distance": 20},
+        {"current_distance": 21},
+        {"current_distance": 4, "min_distance": 0},
         {"current_distance": 400},
         {"signal_quality": 0},
         {"signal_quality": 2},

@@ -26,7 +26,6 @@ def stood(
     *,
     echo_m: float | None = None,
     on_pad: bool = False,
-    nearest_echo_m: float = 0.0,
     lasts_s: float = 6.0,
 ) -> tuple[StandingHeight, PlanWorld]:
     """After `lasts_s` on the ground: the true standing height is LEG_M, the file says `leg_m`."""
@@ -35,7 +34,7 @@ def stood(
     w.blind = lambda _t, _height: not on_pad
     if on_pad:
         w.pad = lambda _t: (0.0, 0.0, 0.0)
-    height = StandingHeight(VEHICLE.model_copy(update={"leg_height_m": leg_m}), nearest_echo_m)
+    height = StandingHeight(VEHICLE.model_copy(update={"leg_height_m": leg_m}))
     for _ in range(round(lasts_s / STEP_S)):
         w.acceleration = ZERO3
         height.update(w.inputs(), w.now_s)
@@ -67,11 +66,6 @@ def test_an_echo_before_take_off_says_whether_the_leg_height_is_right(wrong_m: f
 def test_what_was_heard_during_two_seconds_of_rest_counts_as_they_end(lasts_s: float, measured: bool) -> None:
     height, _ = stood(LEG_M + 0.03, echo_m=ECHO_M, lasts_s=lasts_s)
     assert bool(height.measured_m) is measured
-
-
-def test_echoes_as_near_as_the_sensor_shows_at_all_say_nothing() -> None:
-    height, _ = stood(LEG_M + 0.08, echo_m=ECHO_M, nearest_echo_m=ECHO_M)
-    assert height.comparisons == ()
 
 
 def test_what_was_measured_on_a_bench_says_nothing_on_the_ground_where_no_echo_comes() -> None:

@@ -6,6 +6,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -187,6 +188,26 @@ def distances(data: bytes) -> list[float]:
     return [sample.distance_m for sample in Ultrasonic(RangeConfig()).feed(data, 1.0)]
 
 
+@pytest.mark.parametrize("minimum_m", [None, 0.3])
+@pytest.mark.parametrize(("sensor", "floor_m"), [("JSN-SR04T", 0.25), ("A02YYUW", 0.03), ("US-100", 0.03)])
+def test_what_a_sensor_reports_of_its_blind_zone_is_no_distance(
+    sensor: str, floor_m: float, minimum_m: float | None
+) -> None:
+    """GIVEN a descent to 5 mm THEN the floor, which is reported for all that is nearer, is never taken."""
+    floor_m = minimum_m or floor_m
+    config = RangeConfig.model_validate({"sensor": sensor, "minimum_m": minimum_m})
+    blind = RangeSensor(replace(NO_RANGE_ERRORS, minimum_m=floor_m), np.random.default_rng(1))
+    driver, taken = Ultrasonic(config), list[float]()
+    for k in range(80):
+        reported_m = blind.sample(0.4 - 0.005 * k)
+        assert reported_m is not None
+        assert reported_m >= floor_m
+        taken += [sample.distance_m for sample in driver.feed(frame(reported_m), 0.1 * k)]
+    assert taken == pytest.approx([0.4 - 0.005 * k for k in range(len(taken))], abs=1e-3)
+    assert floor_m < taken[-1] <= floor_m + 0.006
+    assert driver.problem is None
+
+
 def test_the_data_sheets_example_is_1953_mm() -> None:
     assert distances(bytes.fromhex("ff07a1a7")) == [1.953]
 
@@ -211,7 +232,7 @@ def test_a_frame_in_single_bytes_is_found() -> None:
 
 @pytest.mark.parametrize(
     ("millimetres", "taken"),
-    [(0, False), (29, False), (30, True), (4500, True), (4501, False), (65279, False)],
+    [(0, False), (30, False), (31, True), (4500, True), (4501, False), (65279, False)],
 )
 def test_only_distances_within_the_range_are_taken(millimetres: int, taken: bool) -> None:
     assert distances(frame(millimetres / 1000.0)) == ([millimetres / 1000.0] if taken else [])
@@ -230,7 +251,7 @@ def test_what_is_no_whole_frame_costs_no_other(data: bytes, taken: list[float]) 
 
 
 @settings(max_examples=60)
-@given(st.binary(max_size=40).filter(lambda noise: b"\xff" not in noise), st.integers(30, 4500))
+@given(st.binary(max_size=40).filter(lambda noise: b"\xff" not in noise), st.integers(31, 4500))
 def test_garbage_before_a_frame_does_no_harm(noise: bytes, millimetres: int) -> None:
     assert distances(noise + frame(millimetres / 1000.0)) == [millimetres / 1000.0]
 
@@ -241,7 +262,7 @@ def test_anything_at_all_survives(pieces: list[bytes]) -> None:
     parser = Ultrasonic(RangeConfig())
     for piece in pieces:
         for sample in parser.feed(piece, 1.0):
-            assert 0.03 <= sample.distance_m <= 4.5
+            assert 0.03 < sample.distance_m <= 4.5
     # whatever came: three frames later at the latest it is in step again
     tail = [sample.distance_m for _ in range(3) for sample in parser.feed(frame(1.234), 2.0)]
     assert tail[-1] == 1.234
@@ -312,7 +333,7 @@ def test_an_answer_in_two_pieces_is_one() -> None:
 @pytest.mark.parametrize(
     ("data", "taken"),
     [
-        *((millimetres(n / 1000.0), n in (30, 4500)) for n in (0, 29, 30, 4500, 4501)),
+        *((millimetres(n / 1000.0), n in (31, 4500)) for n in (0, 30, 31, 4500, 4501)),
         (b"\xff\xff", False),
         (b"\x00\x07\xa1", False),  # more than an answer is noise
     ],
@@ -343,7 +364,7 @@ def test_polled_anything_at_all_survives(pieces: list[bytes]) -> None:
     for k, piece in enumerate(pieces):
         driver.pending(0.05 * k)
         for sample in driver.feed(piece, 0.05 * k + 0.01):
-            assert 0.03 <= sample.distance_m <= 4.5
+            assert 0.03 < sample.distance_m <= 4.5
     driver.pending(10.0)
     assert [s.distance_m for s in driver.feed(b"\x03\xe8", 10.02)] == [1.0]
 
