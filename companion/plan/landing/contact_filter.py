@@ -82,8 +82,8 @@ def feet_motion(
     """The feet's motion over the pad by camera and IMU, or by the echo where that is surer and agrees.
 
     An autopilot that does not obey may hold its height by itself: its sink tells only where the height has
-    the feet down. The pad's own motion is known for `blind_s`; after that the vehicle's is taken, `state`, if
-    it is given.
+    the feet down. The pad's own motion is known for `blind_s`, and where no echo comes so is the height;
+    after that the vehicle's motion is taken, `state`, if it is given.
     """
     height_m, std_m = math.nan, math.inf
     if sight is not None and sight.age_s <= KNOWN_S:
@@ -97,6 +97,8 @@ def feet_motion(
     sink_m_s, sink_std_m_s = math.nan, math.inf
     if sight is not None and sight.age_s <= config.blind_s:
         sink_m_s, sink_std_m_s = sight.sink_m_s, sight.sink_std_m_s
+        if math.isnan(height_m):
+            height_m, std_m = sight.height_m, sight.height_std_m
     elif state is not None:
         # an axis of three
         sink_m_s, sink_std_m_s = state.velocity_ned_m_s[2], state.velocity_std_m_s / math.sqrt(3.0)

@@ -41,7 +41,8 @@ def test_the_feet_are_as_high_as_the_surer_of_camera_and_echo_has_them() -> None
     assert feet(clear, echo).over_m == pytest.approx(0.05)
     assert feet(unsure, echo).over_m == pytest.approx(by_echo_m)
     assert feet(unsure, old).over_m == pytest.approx(0.05)
-    assert feet(replace(clear, seen_time_s=-1.0), old).over_m is None
+    assert feet(replace(clear, seen_time_s=-1.0), old).over_m == pytest.approx(0.05)
+    assert feet(replace(clear, seen_time_s=-2.0), old).over_m is None
     assert feet(None, None).over_m is None
 
 

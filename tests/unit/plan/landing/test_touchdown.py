@@ -281,16 +281,30 @@ def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
 def test_what_has_not_sunk_for_as_long_as_the_contact_is_overdue_stands_and_is_not_lifted(
     stands: bool,
 ) -> None:
-    """No echo comes from so near, and the pad fills the picture: nothing but the sink tells."""
+    """The pad fills the picture, and an echo that is stuck says 5 cm: nothing but the sink tells."""
     touchdown, found = sinking(), list[MissionEvent]()
     touchdown.now_s = 0.2
+    sinks = sight(height=LEG_M + 0.05, velocity=(0.0, 0.0, CONFIG.contact_speed_m_s), age=1.0)
     while not found and touchdown.state is State.SINK and touchdown.now_s < 10.0:
-        stopped = stands and touchdown.now_s > MISSED_S - CONFIG.overdue_s + 0.1
-        velocity = (0.0, 0.0, 0.0 if stopped else CONFIG.contact_speed_m_s)
-        found = touchdown.cycles([sight(height=LEG_M + 0.05, velocity=velocity, age=1.0)])
+        if stands and touchdown.now_s > MISSED_S - CONFIG.overdue_s + 0.1:
+            unseen = sight(height=LEG_M + 0.05, age=2.0)
+            found = touchdown.cycles([unseen], echo_m=LEG_M - 0.03, imu_age_s=0.0)
+        else:
+            found = touchdown.cycles([sinks])
     assert found == ([] if stands else [MissionEvent.MISALIGNED])
     assert (touchdown.state is State.SET_DOWN) == stands
     assert touchdown.now_s == pytest.approx(MISSED_S, abs=0.25)
+
+
+@pytest.mark.parametrize(("age_s", "contact"), [(0.3, True), (1.2, True), (2.0, False)])
+def test_where_no_echo_comes_what_was_seen_lately_shows_where_the_feet_may_meet_the_pad(
+    age_s: float, contact: bool
+) -> None:
+    touchdown = sinking()
+    for seen in coming_down(LEG_M):
+        if not touchdown.on_pad:
+            touchdown.cycles([replace(seen, seen_time_s=-age_s)], imu_age_s=0.0)
+    assert touchdown.on_pad == contact
 
 
 def test_a_contact_is_not_overdue_while_the_feet_may_stand() -> None:
