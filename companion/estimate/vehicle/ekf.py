@@ -336,15 +336,12 @@ class VehicleEkf(EkfState):
 
     def _take_bias_step(self, step: BiasStep) -> None:
         """Take the bias that a second gyroscope shows, and turn back what the old one has turned."""
-        x, P = self.x.copy(), self.P.copy()
-        x[model.GYRO_BIAS] = step.gyro_bias_rad_s
+        self._set_anew(model.GYRO_BIAS, step.gyro_bias_rad_s, STEP_STD_RAD_S**2 * EYE3)
         turn = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
-        x[model.QUATERNION] = attitude = quat_normalise(quat_multiply(self.attitude, turn))
-        x[model.EULER] = euler_from_quat(attitude)
-        P[model.GYRO_BIAS, :] = P[:, model.GYRO_BIAS] = 0.0
-        P[model.GYRO_BIAS, model.GYRO_BIAS] = STEP_STD_RAD_S**2 * EYE3
-        self.x, self.P, self._moved = x, P, None
-        self.yaw_error = self.yaw_error.without(model.GYRO_BIAS)
+        attitude = quat_normalise(quat_multiply(self.attitude, turn))
+        x = self.x.copy()
+        x[model.ATTITUDE] = (*attitude, *euler_from_quat(attitude))
+        self.x = x
         self._inflate_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * EYE3)
 
     def _start_from(self, time_s: float, fix: GpsStep, keep_speed: bool) -> None:
@@ -353,22 +350,17 @@ class VehicleEkf(EkfState):
         A component of the velocity that the fix does not contain stays as it is; with keep_speed also one
         that it gives less accurately than the filter.
         """
-        q, x = self.attitude, self.x.copy()
-        own = np.sqrt(self.P.diagonal()[model.VELOCITY])
+        speed, own = self.x[model.VELOCITY], np.sqrt(self.P.diagonal()[model.VELOCITY])
         speed_known = np.less(
             fix.velocity_std_m_s, np.minimum(own, MOVING_SPEED_M_S) if keep_speed else MOVING_SPEED_M_S
         )
-        x[model.POSITION] = np.subtract(fix.position_ned_m, quat_rotate(q, self._antenna_body_m))
-        x[model.VELOCITY] = np.where(speed_known, fix.velocity_ned_m_s, x[model.VELOCITY])
-        P = self.P.copy()
-        states = slice(model.POSITION.start, model.VELOCITY.stop)
+        place = np.subtract(fix.position_ned_m, quat_rotate(self.attitude, self._antenna_body_m))
+        values = np.concatenate((place, np.where(speed_known, fix.velocity_ned_m_s, speed)))
         speed_variance = np.where(
             speed_known, np.square(fix.velocity_std_m_s), self.P.diagonal()[model.VELOCITY]
         )
-        P[states, :] = P[:, states] = 0.0
-        P[states, states] = np.diag(np.concatenate((np.square(fix.position_std_m), speed_variance)))
-        self.x, self.P, self._moved = x, P, None
-        self.yaw_error = self.yaw_error.without(states)
+        variance = np.concatenate((np.square(fix.position_std_m), speed_variance))
+        self._set_anew(slice(model.POSITION.start, model.VELOCITY.stop), values, np.diag(variance))
         self.has_position, self.gps_time_s = True, time_s
         fresh = {kind: gate.opened() for kind, gate in self.gates.items() if kind in FIXES}
         self.gates = {**self.gates, **fresh}

@@ -240,12 +240,21 @@ class EkfState:
         P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
         self.P = P
 
+    def _set_anew(
+        self, states: slice, values: FloatArray | tuple[float, ...], covariance: FloatArray
+    ) -> None:
+        """Take values with their covariance for states that have proved wrong: what these had in common with
+        the others is gone.
+        """
+        x, P = self.x.copy(), self.P.copy()
+        x[states] = values
+        P[states, :] = P[:, states] = 0.0
+        P[states, states] = covariance
+        self.x, self.P, self._moved = x, P, None
+        self.yaw_error = self.yaw_error.without(states)
+
     def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
         """Take another attitude: the filter's own has proved wrong."""
-        x, P = self.x.copy(), self.P.copy()
-        x[model.QUATERNION], x[model.EULER] = attitude, euler_from_quat(attitude)
-        P[:7, :] = P[:, :7] = 0.0
-        self.x, self.P, self._moved = x, P, None
-        self.yaw_error = self.yaw_error.without(model.ATTITUDE)
+        self._set_anew(model.ATTITUDE, (*attitude, *euler_from_quat(attitude)), np.zeros((7, 7)))
         self._inflate_rotation(rotation_variance)
         self.gates = {**self.gates, "orientation": self.gates.get("orientation", Gate()).opened()}

@@ -69,11 +69,10 @@ class YawError(NamedTuple):
             share=self.share + gain @ innovation, covariance=0.5 * (covariance + covariance.T)
         )
 
-    def without(self, *states: slice) -> YawError:
+    def without(self, states: slice) -> YawError:
         """These states have been set anew."""
         with_state = self.with_state.copy()
-        for rows in states:
-            with_state[rows] = 0.0
+        with_state[states] = 0.0
         return self._replace(with_state=with_state)
 
     def changed(self, before: YawError, after: YawError, moved: FloatArray) -> YawError:
