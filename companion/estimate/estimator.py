@@ -47,7 +47,6 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import EstimateConfig, VehicleConfig
-from companion.estimate.attitude_check import AttitudeCheck
 from companion.estimate.gating import Timeline
 from companion.estimate.input_tally import InputTally
 from companion.estimate.motion import MotionHistory
@@ -105,7 +104,6 @@ class StateEstimator:
         axis = down_axis(quat_from_euler(*airframe.camera_turn_rad))
         self._camera_check = CameraCheck(self._motion, delay_std_s, self._board_half_width_m, axis)
         self._mount_check = MountCheck(self._motion, airframe.camera_position_body_m, airframe.camera_yaw_deg)
-        self._attitude_check = AttitudeCheck(self._motion)
         self._velocity_check = VelocityCheck()
 
     def _no_pad(self) -> None:
@@ -118,7 +116,6 @@ class StateEstimator:
     def start_over(self) -> None:
         """Forget vehicle and pad: more time has gone by than any clock shows. The alignment begins again."""
         self._vehicle.start_over()
-        self._attitude_check.forget()
         self._velocity_check.forget()
         self.begin_checks()
         self._no_pad()
@@ -169,21 +166,18 @@ class StateEstimator:
         accuracy = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
         climb_accuracy = fix.vertical_speed_accuracy_m_s or 0.0
         usable = self._usable(fix.time_s, (*place, *fix.velocity_ned_m_s, *accuracy, climb_accuracy))
-        if usable and self.origin is None:
-            self._attitude_check.forget()  # the first fix may turn north
         if usable and self._vehicle.aligned:
             ours = self._vehicle.velocity(fix.time_s)
             self._velocity_check.take_fix(fix.time_s, ours, fix.velocity_ned_m_s)
         return self._count("gps", usable and self._vehicle.add_gps(fix))
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
-        """Take the autopilot's attitude, as an anchor or a second gyroscope; refused before the alignment."""
+        """Take the autopilot's attitude; refused before the alignment."""
         usable = self._usable(sample.time_s, sample.attitude)
         if usable and self._vehicle.aligned:
             self._camera_check.imu_by_link = sample.same_imu
             if sample.round_trip_s > 0.0:
                 self._camera_check.half_trip_s = 0.5 * sample.round_trip_s
-            self._attitude_check.take(sample)
         taken = usable and self._vehicle.add_autopilot_attitude(sample)
         since_s, self._motion.turned_since_s = self._motion.turned_since_s, math.inf
         if since_s < math.inf:
@@ -224,7 +218,7 @@ class StateEstimator:
     def comparisons(self) -> tuple[SourceComparison, ...]:
         """What has been measured by two sources, of the table of `companion.base.second_sources`."""
         newest_s = self._vehicle.newest_s
-        attitudes = self._attitude_check.comparisons(self._vehicle.rotation_covariance(), newest_s)
+        attitudes = self._vehicle.attitude_comparisons()
         by_link = (*attitudes, *self._velocity_check.comparisons(newest_s))
         return (*by_link, *self._mount_check.comparisons, *self._camera_check.comparisons)
 

@@ -16,12 +16,10 @@ Body FRD, rad/s, plain floats.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from itertools import pairwise
 from typing import Final, NamedTuple
 
 from companion.base.geometry import (
-    IDENTITY,
     Quaternion,
     Vector3,
     add,
@@ -29,7 +27,6 @@ from companion.base.geometry import (
     norm,
     quat_conjugate,
     quat_from_rotation_vector,
-    quat_integrate,
     quat_multiply,
     quat_rotate,
     rotation_vector_from_quat,
@@ -37,12 +34,11 @@ from companion.base.geometry import (
     subtract,
 )
 from companion.base.messages import AutopilotAttitude
-from companion.estimate.motion import part_way, turn_between
+from companion.estimate.motion import MotionHistory, turn_between
 
 WINDOW_S: Final = 0.75
 STRIDE_S: Final = 0.25  # from one window's start to the next's
 LONGEST_GAP_S: Final = 0.6  # in the autopilot's reports
-REMEMBER_S: Final = 2.0
 STEP_RAD_S: Final = math.radians(0.7)  # from the present bias, to be a step
 AGREE_RAD_S: Final = math.radians(0.5)  # of two windows, one after the other
 LARGEST_RAD_S: Final = math.radians(5.0)  # more is no bias
@@ -58,51 +54,48 @@ class BiasStep(NamedTuple):
     turned_rad: Vector3
 
 
-class SecondGyro:
-    """Compares the turns of both in overlapping windows."""
+class _Anchor(NamedTuple):
+    """The autopilot's attitude at a time, and the bias that our samples were less."""
 
-    def __init__(self) -> None:
-        self._turn: Quaternion = IDENTITY
-        self._times_s: list[float] = []
-        self._turns: list[Quaternion] = []
-        self._anchors: list[AutopilotAttitude] = []
-        self._newest: AutopilotAttitude | None = None
+    time_s: float
+    attitude: Quaternion
+    gyro_bias_rad_s: Vector3
+
+
+class SecondGyro:
+    """Compares the turns of both in overlapping windows; ours is what `motion` has without corrections."""
+
+    def __init__(self, motion: MotionHistory) -> None:
+        self._motion = motion
+        self._anchors: list[_Anchor] = []
+        self._heard: Quaternion | None = None
         self._last: Vector3 | None = None
 
-    def add_rate(self, time_s: float, rate_body_rad_s: Vector3, dt_s: float) -> None:
-        """Take our gyroscope's mean rate, bias and all, over the dt_s up to time_s."""
-        self._turn = quat_integrate(self._turn, rate_body_rad_s, dt_s)
-        self._times_s.append(time_s)
-        self._turns.append(self._turn)
-        if time_s - self._times_s[0] > 2.0 * REMEMBER_S:
-            old = bisect_left(self._times_s, time_s - REMEMBER_S)
-            del self._times_s[:old], self._turns[:old]
-
     def add_attitude(self, report: AutopilotAttitude, gyro_bias_rad_s: Vector3) -> BiasStep | None:
-        """Take the autopilot's attitude; the step, when two windows agree that the bias is another.
+        """Take the autopilot's attitude, which our samples have come up to, and the bias that ours are less.
 
-        Each waits for the next: it may be newer than our own newest sample.
+        The step, when two windows agree that the bias is another.
         """
-        if self._newest is not None and report.attitude == self._newest.attitude:
+        if report.attitude == self._heard:
             return None
-        waiting, self._newest = self._newest, report
-        return None if waiting is None else self._compare(waiting, gyro_bias_rad_s)
+        self._heard = report.attitude
+        return self._compare(_Anchor(report.time_s, report.attitude, gyro_bias_rad_s))
 
-    def _compare(self, report: AutopilotAttitude, gyro_bias_rad_s: Vector3) -> BiasStep | None:
-        time_s, anchors = report.time_s, self._anchors
+    def _compare(self, anchor: _Anchor) -> BiasStep | None:
+        (time_s, _, gyro_bias_rad_s), anchors = anchor, self._anchors
         if anchors and abs(time_s - anchors[-1].time_s) >= LONGEST_GAP_S:
             anchors.clear()
             self._last = None
         if anchors and time_s - anchors[-1].time_s < STRIDE_S:
             return None
-        anchors.append(report)
+        anchors.append(anchor)
         if time_s - anchors[0].time_s < WINDOW_S:
             return None
         window = anchors.copy()
         del anchors[0]
         bias = self._bias(window[0], window[-1])
         last, self._last = self._last, bias
-        if bias is None or last is None or not self._is_step(window, last, bias, gyro_bias_rad_s):
+        if last is None or not self._is_step(window, last, bias, gyro_bias_rad_s):
             return None
         anchors.clear()
         self._last = None
@@ -111,9 +104,7 @@ class SecondGyro:
         turned = add(scale(change, time_s - window[0].time_s), scale(earlier, STRIDE_S))
         return BiasStep(bias, turned)
 
-    def _is_step(
-        self, window: list[AutopilotAttitude], last: Vector3, bias: Vector3, assumed: Vector3
-    ) -> bool:
+    def _is_step(self, window: list[_Anchor], last: Vector3, bias: Vector3, assumed: Vector3) -> bool:
         if norm(subtract(bias, last)) > AGREE_RAD_S or norm(bias) > LARGEST_RAD_S:
             return False
         change, earlier = subtract(bias, assumed), subtract(last, assumed)
@@ -121,48 +112,38 @@ class SecondGyro:
             return False
         return self._unexplained_rad_s(window, change) > STEP_RAD_S and self._goes_on(window, change, assumed)
 
-    def _unexplained_rad_s(self, window: list[AutopilotAttitude], change: Vector3) -> float:
+    def _unexplained_rad_s(self, window: list[_Anchor], change: Vector3) -> float:
         """How much of a change a wrong time and IMUs that lie askew do not make of the motion."""
         start_s, end_s = window[0].time_s, window[-1].time_s
         ours = self._turned_between(start_s, end_s)
         earlier = self._turned_between(start_s - WRONG_TIME_S, end_s - WRONG_TIME_S)
-        if ours is None or earlier is None:
-            return 0.0
         delay = scale(turn_between(earlier, ours), 1.0 / (end_s - start_s))
         share = dot(change, delay) / max(dot(delay, delay), 1e-12)
         left = subtract(change, scale(delay, min(max(share, -1.0), 1.0)))
         return norm(left) - SKEW * norm(rotation_vector_from_quat(ours)) / (end_s - start_s)
 
-    def _goes_on(self, window: list[AutopilotAttitude], change: Vector3, assumed: Vector3) -> bool:
+    def _goes_on(self, window: list[_Anchor], change: Vector3, assumed: Vector3) -> bool:
         """Whether each stride has its share of the change."""
         for start, end in pairwise(window):
             bias = self._bias(start, end)
-            if bias is None or dot(subtract(bias, assumed), change) < LEAST_SHARE * dot(change, change):
+            if dot(subtract(bias, assumed), change) < LEAST_SHARE * dot(change, change):
                 return False
         return True
 
-    def _bias(self, start: AutopilotAttitude, end: AutopilotAttitude) -> Vector3 | None:
-        """By how much faster our gyroscope turned than the autopilot; None when too old or too new."""
+    def _bias(self, start: _Anchor, end: _Anchor) -> Vector3:
+        """Our gyroscope's, by how much faster we turned than the autopilot."""
         ours = self._turned_between(start.time_s, end.time_s)
-        if ours is None:
-            return None
         theirs = quat_multiply(quat_conjugate(start.attitude), end.attitude)
         excess = turn_between(theirs, ours)
         # it is in the axes of the end, a constant bias in those of the middle
         middle = quat_from_rotation_vector(scale(rotation_vector_from_quat(ours), 0.5))
-        return scale(quat_rotate(middle, excess), 1.0 / (end.time_s - start.time_s))
+        more = scale(quat_rotate(middle, excess), 1.0 / (end.time_s - start.time_s))
+        return add(more, scale(add(start.gyro_bias_rad_s, end.gyro_bias_rad_s), 0.5))
 
-    def _turned_between(self, start_s: float, end_s: float) -> Quaternion | None:
-        before, after = self._turned(start_s), self._turned(end_s)
-        if before is None or after is None:
-            return None
-        return quat_multiply(quat_conjugate(before), after)
-
-    def _turned(self, time_s: float) -> Quaternion | None:
-        """Our turn since the start at a time within the history."""
-        place = bisect_left(self._times_s, time_s)
-        if place == 0 or place == len(self._times_s):
-            return None
-        before_s, after_s = self._times_s[place - 1], self._times_s[place]
-        share = (time_s - before_s) / (after_s - before_s)
-        return part_way(self._turns[place - 1], self._turns[place], share)
+    def _turned_between(self, start_s: float, end_s: float) -> Quaternion:
+        """Our turn by the gyroscope alone: corrections turn about NED axes, so they go off from the left."""
+        before, after = self._motion.attitude(start_s), self._motion.attitude(end_s)
+        assert before is not None
+        assert after is not None
+        corrected = quat_from_rotation_vector(self._motion.corrected(start_s, end_s))
+        return quat_multiply(quat_conjugate(quat_multiply(corrected, before)), after)

@@ -20,7 +20,6 @@ from companion.base.geometry import (
     Vector3,
     add,
     norm,
-    quat_conjugate,
     quat_from_rotation_vector,
     quat_multiply,
     quat_normalise,
@@ -35,6 +34,7 @@ from companion.base.messages import (
     GpsFix,
     ImuSample,
     MagSample,
+    SourceComparison,
     VehicleState,
 )
 from companion.config import EstimateConfig
@@ -48,18 +48,13 @@ from companion.estimate.ahrs.orientation import (
 from companion.estimate.gating import Gate, Timeline
 from companion.estimate.motion import PREDICTED_S, MotionHistory, VehiclePlace
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.attitude_reset import (
-    GAP_S,
-    THEIR_STD_RAD,
-    AttitudeReset,
-    Correction,
-)
+from companion.estimate.vehicle.autopilot_attitudes import GAP_S, AutopilotAttitudes, OwnAttitude
 from companion.estimate.vehicle.ekf import GPS_TIMEOUT_S, VehicleEkf
-from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, at_rest, gps_step
+from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
 from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.field_mean import FieldMean
-from companion.estimate.vehicle.gyro_bias_check import SecondGyro
+from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import ImuNoise
 from companion.estimate.vehicle.inertial_motion import InertialMotion
 from companion.estimate.vehicle.innovation_watch import TroubleReport
@@ -69,7 +64,6 @@ from companion.estimate.vehicle.strapdown import Strapdown
 ALIGNED_STD_RAD: Final = math.radians(20.0)  # an attitude known less well is none to fly by
 ORIENTATION_RATE_HZ: Final = 10.0  # the pre-filter's error lasts: more often would say nothing new
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
-_COMPARE_AGAIN_S = 1.0  # after the autopilot's attitude at rest was refused
 _AGREES_S = 0.5  # two samples so near each other agree on a time that is far from what was
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
@@ -97,7 +91,7 @@ class VehicleEstimator:
         self._inertial, self._trouble = InertialMotion(motion), TroubleReport()
         self._lever = LeverArm(imu_body_m)
         self._resting = self._still_block = False
-        self._mag_s = self._compare_s = self._field_step_s = self._orientation_step_s = -math.inf
+        self._mag_s = self._field_step_s = self._orientation_step_s = -math.inf
         self._mag_trusted_s = self._settled_s = -math.inf
         self.start_over()
 
@@ -120,7 +114,7 @@ class VehicleEstimator:
         self._strapdown = Strapdown()
         self._span_s: float | None = None  # of the samples in it, by their own clock
         self._fields.start_over()
-        self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
+        self._attitudes = AutopilotAttitudes(self.motion)
 
     # ------------------------------------------------------------ inputs
 
@@ -153,7 +147,7 @@ class VehicleEstimator:
                 self._resting &= block.still
             self._span_s = None if sample.interval_s is None else (self._span_s or 0.0) + dt_s
             if dt_s > GAP_S:
-                self._reset.note_gap(sample.time_s, dt_s)
+                self._attitudes.reset.note_gap(sample.time_s, dt_s)
             self._move(sample, dt_s)
             self._collect(sample, dt_s)
         if block is not None and self._aligner is not None:
@@ -203,66 +197,46 @@ class VehicleEstimator:
         return True
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
-        """Take the autopilot's attitude: ours is reset by it if both go by the same IMU.
-
-        Otherwise only its turns count, against a step of our gyroscope's bias.
-        """
+        """Take the autopilot's attitude: see `autopilot_attitudes` for what it does to ours."""
         self._lever.in_air = sample.in_air
-        if self._timeline is None or self._orientation is None:
+        if self._timeline is None:
             return False
-        if sample.same_imu:
-            self._reset_to(sample)
-            return True
-        if self._resting and sample.time_s >= self._compare_s:
-            self._compare_at_rest(sample)
-        step = self._second_gyro.add_attitude(sample, self._inertial.gyro_bias_rad_s)
-        if step is not None:
-            self._timeline.add(self.newest_s, step)
-            self._read_ekf()
-            back = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
-            self._orientation.attitude = quat_normalise(quat_multiply(self._orientation.attitude, back))
+        for report, ours in self._attitudes.due(sample):
+            self._hear(report, ours)
         return True
 
-    def _compare_at_rest(self, report: AutopilotAttitude) -> None:
-        """Take the autopilot's attitude once, at rest: its compass and its accelerometer err as ours do, and
-        by other errors. One that is refused may be of its own alignment: the next is asked for.
-        """
+    def _hear(self, report: AutopilotAttitude, ours: Quaternion) -> None:
+        """Take what a report shows of our attitude at its time."""
+        ekf, orientation, inertial = self._ekf, self._orientation, self._inertial
         assert self._timeline is not None
-        assert self._ekf is not None
-        self._timeline.add(self.newest_s, at_rest(self._inertial.attitude, report.attitude))
-        if self._ekf.gates.get("second_attitude", Gate()).refused_in_a_row:
-            self._compare_s = report.time_s + _COMPARE_AGAIN_S
-        else:
-            self._compare_s = math.inf
-            self._read_ekf()
-
-    def _reset_to(self, report: AutopilotAttitude) -> None:
-        """Correct the attitude by the autopilot's, where that has to be."""
-        assert self._ekf is not None
-        self._reset.reports.append(report)
-        for due in self._reset.reports.due(self.newest_s):
-            ours = self.motion.attitude(due.time_s)
-            if ours is None:
-                continue
-            x, y, z = self._ekf.rotation_covariance().diagonal().tolist()
-            turning_rad_s = norm(self._inertial.rate_body_rad_s)
-            correction = self._reset.compare(due, ours, math.sqrt(x + y), turning_rad_s)
-            if correction is not None:
-                turn = quat_multiply(correction.attitude, quat_conjugate(ours))
-                heading_std_rad = max(math.sqrt(z), 2.0 * THEIR_STD_RAD)
-                self._correct(correction, AttitudeStep(turn, THEIR_STD_RAD, heading_std_rad))
-
-    def _correct(self, correction: Correction, step: AttitudeStep) -> None:
-        assert self._timeline is not None
-        assert self._orientation is not None
-        if not self._timeline.add(correction.time_s, step):
+        assert ekf is not None
+        assert orientation is not None
+        # one at rest that was refused may be of its own alignment: the next is asked
+        compared = ekf.gates.get("second_attitude", Gate()).accepted > 0
+        bias, turning_rad_s = inertial.gyro_bias_rad_s, norm(inertial.rate_body_rad_s)
+        own = OwnAttitude(ours, ekf.rotation_covariance(), bias, turning_rad_s, self._resting, compared)
+        found = self._attitudes.shown_by(report, own)
+        if found is None:
+            return
+        step, time_s, before = found.step, min(found.time_s, self.newest_s), ekf.x
+        if not self._timeline.add(time_s, step):
             self._timeline.add(self.newest_s, step)
-        self.motion.turn(correction.since_s, step.turn)
-        self._inertial.attitude = quat_multiply(step.turn, self._inertial.attitude)  # as the history
+        if ekf.x is before:
+            return  # it has been refused
+        if isinstance(step, AttitudeStep):
+            self.motion.turn(found.since_s, step.turn)
+            inertial.attitude = quat_multiply(step.turn, inertial.attitude)  # as the history
+            self.corrections += (found.words,)
         self._read_ekf()
-        self._orientation.attitude = self._inertial.attitude
-        words = f"attitude corrected by {math.degrees(correction.apart_rad):.0f} deg to the autopilot's"
-        self.corrections += (f"{words}: {correction.why}",)
+        if isinstance(step, AttitudeStep):
+            orientation.attitude = inertial.attitude
+        elif isinstance(step, BiasStep):
+            back = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
+            orientation.attitude = quat_normalise(quat_multiply(orientation.attitude, back))
+
+    def attitude_comparisons(self) -> tuple[SourceComparison, ...]:
+        """Of our attitude with the autopilot's, and of both clocks."""
+        return self._attitudes.check.comparisons(self.rotation_covariance(), self.newest_s)
 
     # ------------------------------------------------------------ outputs
 
@@ -367,7 +341,7 @@ class VehicleEstimator:
         self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
         self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)
         self._inertial.gyro_bias_rad_s, self._inertial.attitude = start.gyro_bias_rad_s, start.attitude
-        self._resting, self._compare_s = found.still, -math.inf
+        self._resting = found.still
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
         return True
@@ -405,7 +379,6 @@ class VehicleEstimator:
         assert self._timeline is not None
         assert self._ekf is not None
         time_s, mean, noise = sample.time_s, self._strapdown.take(), self._noise.now
-        self._second_gyro.add_rate(time_s, mean.rate_body_rad_s, mean.span_s)
         self.motion.turn_density_rad2_s = noise.rate_density_rad2_s
         step = ImuStep(
             mean.rate_body_rad_s,

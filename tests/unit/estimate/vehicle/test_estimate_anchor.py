@@ -1,4 +1,4 @@
-"""The autopilot's attitude as an reset of ours, and what is told when the IMU's stream has a gap."""
+"""The autopilot's attitude as a reset of ours, and what is told when the IMU's stream has a gap."""
 
 import math
 from dataclasses import dataclass, replace
@@ -20,7 +20,14 @@ from companion.base.messages import AutopilotAttitude, ImuSample, PadSighting
 from companion.config import EstimateConfig
 from companion.config.estimate import PadFilterConfig
 from companion.estimate.estimator import StateEstimator
-from companion.estimate.vehicle.attitude_reset import AttitudeReset, ReportQueue, apart
+from companion.estimate.motion import MotionHistory
+from companion.estimate.vehicle.autopilot_attitudes import (
+    AttitudeReset,
+    AutopilotAttitudes,
+    OwnAttitude,
+    apart,
+)
+from companion.estimate.vehicle.ekf_inputs import AttitudeStep
 from tests.attitudes import DEGREE
 from tests.unit.estimate.estimate_flight import (
     FIELD_NED_UT,
@@ -119,14 +126,17 @@ def test_an_autopilot_that_finds_north_elsewhere_turns_nothing() -> None:
 # ---------------------------------------------------------------- the comparison
 
 
+def ours(tilt_std_rad: float = SURE, rate: float = STEADY) -> OwnAttitude:
+    covariance = np.diag([0.5 * tilt_std_rad**2] * 2 + [(2.0 * DEGREE) ** 2])
+    return OwnAttitude(OURS, covariance, ZERO3, rate)
+
+
 def words(
     reset: AttitudeReset, theirs: Quaternion, seconds: float, std_rad: float = SURE, rate: float = STEADY
 ) -> list[float]:
     """When ours is set right, of words at 30 Hz."""
-    found = [
-        reset.compare(AutopilotAttitude(k / 30.0, theirs), OURS, std_rad, rate)
-        for k in range(round(30 * seconds))
-    ]
+    own = ours(std_rad, rate)
+    found = [reset.compare(AutopilotAttitude(k / 30.0, theirs), own) for k in range(round(30 * seconds))]
     return [correction.time_s for correction in found if correction is not None]
 
 
@@ -147,7 +157,7 @@ def test_a_single_word_that_is_off_changes_nothing() -> None:
     reset = AttitudeReset()
     for k in range(60):
         theirs = tilted(30.0) if k % 10 == 0 else tilted(0.0)
-        assert reset.compare(AutopilotAttitude(k / 30.0, theirs), OURS, SURE, STEADY) is None
+        assert reset.compare(AutopilotAttitude(k / 30.0, theirs), ours()) is None
 
 
 def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() -> None:
@@ -157,11 +167,10 @@ def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() 
 def test_what_is_set_right_keeps_our_own_heading() -> None:
     reset = AttitudeReset()
     assert words(reset, tilted(0.0), 2.0) == []
-    found = [
-        reset.compare(AutopilotAttitude(3.0 + k / 30.0, tilted(10.0)), OURS, SURE, STEADY) for k in range(30)
-    ]
-    first = next(correction for correction in found if correction is not None)
-    tilt_rad, heading_rad = apart(first.attitude, tilted(10.0))
+    found = [reset.compare(AutopilotAttitude(3.0 + k / 30.0, tilted(10.0)), ours()) for k in range(30)]
+    step = next(found.step for found in found if found is not None)
+    assert isinstance(step, AttitudeStep)
+    tilt_rad, heading_rad = apart(quat_multiply(step.turn, OURS), tilted(10.0))
     assert tilt_rad == pytest.approx(0.0, abs=1e-6)
     assert heading_rad == pytest.approx(0.4, abs=1e-6)
 
@@ -171,11 +180,16 @@ def test_an_attitude_that_is_poorly_known_is_taken_from_the_autopilot_at_once() 
 
 
 def test_words_wait_until_our_own_samples_have_come_as_far() -> None:
-    reports = ReportQueue()
-    reports.append(AutopilotAttitude(1.0, tilted(0.0)))
-    assert list(reports.due(None)) == list(reports.due(0.99)) == []
-    assert list(reports.due(1.0)) == [AutopilotAttitude(1.0, tilted(0.0))]
-    assert list(reports.due(2.0)) == []
+    motion = MotionHistory(3.0)
+    attitudes = AutopilotAttitudes(motion)
+    first, second = AutopilotAttitude(1.0, tilted(0.0)), AutopilotAttitude(1.5, tilted(1.0))
+    assert list(attitudes.due(first)) == []
+    motion.add(0.99, tilted(0.0), ZERO3)
+    assert list(attitudes.due(second)) == []
+    motion.add(1.01, tilted(4.0), ZERO3)
+    [(report, own)] = attitudes.due(second)
+    assert report == first
+    assert own == pytest.approx(tilted(2.0)), "ours at its time"
 
 
 # ---------------------------------------------------------------- late, and silent

@@ -16,12 +16,15 @@ from companion.base.geometry import (
     quat_conjugate,
     quat_from_euler,
     quat_from_rotation_vector,
+    quat_integrate,
     quat_multiply,
     rotation_vector_from_quat,
     scale,
+    subtract,
     vector3,
 )
 from companion.base.messages import AutopilotAttitude
+from companion.estimate.motion import MotionHistory
 from companion.estimate.vehicle.gyro_bias_check import BiasStep, SecondGyro
 from tests.attitudes import DEGREE
 
@@ -71,7 +74,8 @@ class SteppedBias:
 
     def run(self, told: Told | None = None) -> list[tuple[float, BiasStep]]:
         """(time, step) of all that is found; a step found is believed from then on."""
-        gyro, believed = SecondGyro(), BIAS
+        motion, believed = MotionHistory(3.0), BIAS
+        gyro, ours = SecondGyro(motion), IDENTITY
         rng = np.random.default_rng(self.seed)
         before = self.attitude(0.0)
         for k in range(1, round(self.seconds / IMU_S)):
@@ -80,7 +84,9 @@ class SteppedBias:
             rate = scale(rotation_vector_from_quat(quat_multiply(quat_conjugate(before), now)), 1.0 / IMU_S)
             before = now
             bias = add(BIAS, self.step_rad_s) if t >= STEP_S else BIAS
-            gyro.add_rate(t, add(add(rate, bias), vector3(0.003 * rng.normal(size=3))), IMU_S)
+            measured = add(add(rate, bias), vector3(0.003 * rng.normal(size=3)))
+            ours = quat_integrate(ours, subtract(measured, believed), IMU_S)
+            motion.add(t, ours, ZERO3)
             heard = (told or self.on_time)(t) if k % TOLD_EVERY == 0 else None
             step = gyro.add_attitude(AutopilotAttitude(*heard), believed) if heard is not None else None
             if step is not None:
@@ -184,6 +190,18 @@ def test_a_heading_set_anew_is_no_step(jump_deg: float) -> None:
     assert setting.run(told) == []
 
 
-def test_an_attitude_before_our_first_rate_tells_nothing() -> None:
-    gyro = SecondGyro()
-    assert [gyro.add_attitude(AutopilotAttitude(0.1 * k, IDENTITY), ZERO3) for k in range(30)] == [None] * 30
+def test_corrections_of_our_attitude_are_no_turn_of_the_gyroscope() -> None:
+    """GPS and compass turn ours by 3 deg/s for two seconds, the gyroscope is right."""
+    motion, ours = MotionHistory(3.0), IDENTITY
+    gyro = SecondGyro(motion)
+    for k in range(1, 800):
+        t = k * IMU_S
+        ours = quat_integrate(ours, (0.2, -0.1, 0.3), IMU_S)
+        if 1.0 < t < 3.0 and k % 4 == 0:
+            correction = (0.0, 0.06 * DEGREE, 0.0)
+            motion.correct(correction)
+            ours = quat_multiply(quat_from_rotation_vector(correction), ours)
+        motion.add(t, ours, ZERO3)
+        truth = quat_from_rotation_vector(scale((0.2, -0.1, 0.3), t))
+        if k % TOLD_EVERY == 0:
+            assert gyro.add_attitude(AutopilotAttitude(t, truth), ZERO3) is None

@@ -21,10 +21,11 @@ from companion.base.geometry import (
     dot,
     down_in_body,
     euler_from_quat,
+    quat_conjugate,
+    quat_multiply,
 )
 from companion.base.messages import AutopilotAttitude, Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
-from companion.estimate.vehicle.attitude_reset import ReportQueue, heading_between
 from companion.estimate.vehicle.ekf_inputs import OTHER_COMPASS_STD_RAD, OTHER_HORIZON_STD_RAD
 
 TIME_CONSTANT_S: Final = 0.5
@@ -38,16 +39,10 @@ SHARED: Final = 0.2
 
 
 class AttitudeCheck:
-    """Feed it every report of the autopilot; `comparisons` is what they say."""
+    """Feed it every report of the autopilot with ours at its time; `comparisons` is what they say."""
 
     def __init__(self, motion: MotionHistory) -> None:
         self._motion = motion
-        self._waiting = ReportQueue()
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin again: ours has."""
-        self._waiting.clear()
         self._since_s = self._last_s = -math.inf
         self._reports = 0
         self._askew = [0.0, 0.0]  # about forward and right: the horizons' difference
@@ -56,14 +51,6 @@ class AttitudeCheck:
         # sums over reports: the rates' squares, and the rates times the differences
         self._turned = self._lagged = 0.0
         self._rate = [0.0, 0.0]  # the slow part of the rate of turn, about forward and right
-
-    def take(self, report: AutopilotAttitude) -> None:
-        """Take a report; it counts once our own samples have come as far."""
-        self._waiting.append(report)
-        for due in self._waiting.due(self._motion.newest_s):
-            ours = self._motion.attitude(due.time_s)
-            if ours is not None and due.time_s > self._last_s:
-                self._compare(due.time_s, ours, due.attitude)
 
     def comparisons(
         self, rotation_covariance: FloatArray | None, now_s: float
@@ -106,7 +93,11 @@ class AttitudeCheck:
             ),
         )
 
-    def _compare(self, time_s: float, ours: Quaternion, theirs: Quaternion) -> None:
+    def compare(self, report: AutopilotAttitude, ours: Quaternion) -> None:
+        """Take a report with our attitude at its time."""
+        time_s, theirs = report.time_s, report.attitude
+        if time_s <= self._last_s:
+            return
         if time_s - self._last_s > FORGET_S:
             self._since_s, self._reports = time_s, 0
         ours_down, theirs_down = down_in_body(ours), down_in_body(theirs)
@@ -139,3 +130,9 @@ class AttitudeCheck:
         """By how much ours is ahead of theirs (s), with its standard deviation."""
         information = self._turned / LAG_NOISE_RAD**2 + 1.0 / LAG_STD_S**2
         return self._lagged / LAG_NOISE_RAD**2 / information, math.sqrt(1.0 / information)
+
+
+def heading_between(ours: Quaternion, theirs: Quaternion) -> float:
+    """By how much our heading is ahead of theirs (rad)."""
+    w, _, _, z = quat_multiply(ours, quat_conjugate(theirs))
+    return math.remainder(2.0 * math.atan2(z, w), math.tau)

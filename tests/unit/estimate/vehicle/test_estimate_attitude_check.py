@@ -8,8 +8,8 @@ import pytest
 from companion.base.geometry import Quaternion, quat_from_euler, quat_multiply
 from companion.base.messages import AutopilotAttitude, Quantity, SourceComparison
 from companion.base.second_sources import TABLE
-from companion.estimate.attitude_check import AttitudeCheck
 from companion.estimate.motion import MotionHistory
+from companion.estimate.vehicle.attitude_check import AttitudeCheck
 
 IMU_S, REPORT_S = 0.005, 0.02
 KNOWN = np.diag([math.radians(0.5) ** 2] * 2 + [math.radians(2.0) ** 2])
@@ -43,7 +43,7 @@ def compared(
         motion.add(now_s, board(now_s, askew_deg, slips_s), (0.0, 0.0, 0.0))
         if k % round(REPORT_S / IMU_S) == 0:
             theirs = quat_multiply(quat_from_euler(0.0, 0.0, north_rad), body(now_s - late_s))
-            check.take(AutopilotAttitude(now_s, theirs))
+            check.compare(AutopilotAttitude(now_s, theirs), board(now_s, askew_deg, slips_s))
     return {found.quantity: found for found in check.comparisons(KNOWN, until_s)}
 
 
@@ -102,7 +102,7 @@ def test_after_a_silence_it_begins_again() -> None:
         motion.add(now_s, body(now_s), (0.0, 0.0, 0.0))
         if not 2.0 < now_s < 7.5:
             askew = quat_from_euler(0.5 if now_s < 5.0 else 0.0, 0.0, 0.0)
-            check.take(AutopilotAttitude(now_s, quat_multiply(body(now_s), askew)))
+            check.compare(AutopilotAttitude(now_s, quat_multiply(body(now_s), askew)), body(now_s))
         if now_s == 4.0:
             assert check.comparisons(KNOWN, now_s)
         if 4.5 < now_s < 7.5:  # nothing that was said before the silence outlives it

@@ -1,0 +1,177 @@
+"""The one way in for the autopilot's attitude: each report is paired with ours at its time, and shows a step.
+
+A report is another filter's estimate, and how its errors go on is unknown. So it is not fused as it comes,
+which would count many times what is alike in all reports. It shows
+
+- a reset of ours, if both use the same IMU;
+- at rest, from other sensors and once, a second compass and a second horizon (`at_rest`);
+- of another IMU, how far it has turned: a second gyroscope (`gyro_bias_check`);
+- and always how far the two are apart (`attitude_check`), which changes nothing.
+
+With the autopilot's own sensors by telemetry, its filter has every sample, and ours only those that the
+link delivers. After a gap in the stream ours has missed a rotation, so it is reset to the autopilot's. The
+same happens if our attitude is poorly known, as after a start in motion, and if the horizons differ by more
+than both errors for longer than a manoeuvre explains. Each filter finds north itself: the difference of the
+headings is learnt in normal operation and kept; by itself it is no fault.
+
+Rotations about NED axes, rad, s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from companion.base.geometry import (
+    FloatArray,
+    Quaternion,
+    Vector3,
+    dot,
+    down_in_body,
+    quat_conjugate,
+    quat_from_euler,
+    quat_multiply,
+)
+from companion.base.messages import AutopilotAttitude
+from companion.estimate.motion import MotionHistory
+from companion.estimate.vehicle.attitude_check import AttitudeCheck, heading_between
+from companion.estimate.vehicle.ekf_inputs import AttitudeStep, SecondAttitudeStep, at_rest
+from companion.estimate.vehicle.gyro_bias_check import BiasStep, SecondGyro
+
+GAP_S: Final = 0.05  # between two samples: more is a gap
+THEIR_STD_RAD: Final = math.radians(1.0)  # of their horizon, in flight
+DEVIATIONS: Final = 4.0
+SURELY_RAD: Final = DEVIATIONS * THEIR_STD_RAD
+LEAST_APART_RAD: Final = math.radians(5.0)  # in a steady stream
+AFTER_GAP_RAD: Final = math.radians(1.5)
+MISTIMED_S: Final = 0.03  # their reports and our samples: a turn makes that much of difference
+PERSISTS_S: Final = 0.2
+LEARNING_S: Final = 5.0
+REPORTS_KEPT: Final = 50
+
+
+class OwnAttitude(NamedTuple):
+    """Ours at a report's time, and what is known of it; `covariance_rad2` (3, 3) is about NED axes.
+
+    `compared`: the autopilot's at rest has been taken already.
+    """
+
+    attitude: Quaternion
+    covariance_rad2: FloatArray
+    gyro_bias_rad_s: Vector3
+    turning_rad_s: float
+    resting: bool = False
+    compared: bool = False
+
+
+class AttitudeFinding(NamedTuple):
+    """A step for the EKF, to be taken at `time_s`.
+
+    From `since_s` on our attitudes were wrong by what the step turns them by; `words` tell of that.
+    """
+
+    step: AttitudeStep | BiasStep | SecondAttitudeStep
+    time_s: float = math.inf
+    since_s: float = math.inf
+    words: str = ""
+
+
+class AutopilotAttitudes:
+    """Feed it every report (`due`), then of each that is due what is ours (`shown_by`)."""
+
+    def __init__(self, motion: MotionHistory) -> None:
+        self._motion = motion
+        self._waiting: deque[AutopilotAttitude] = deque(maxlen=REPORTS_KEPT)
+        self.check, self.reset = AttitudeCheck(motion), AttitudeReset()
+        self._second_gyro = SecondGyro(motion)
+
+    def due(self, report: AutopilotAttitude) -> Iterator[tuple[AutopilotAttitude, Quaternion]]:
+        """Take a report; those that our own samples have come up to, each with ours at its time."""
+        self._waiting.append(report)
+        newest_s = self._motion.newest_s
+        while newest_s is not None and self._waiting and self._waiting[0].time_s <= newest_s:
+            come = self._waiting.popleft()
+            ours = self._motion.attitude(come.time_s)
+            if ours is not None:
+                yield come, ours
+
+    def shown_by(self, report: AutopilotAttitude, own: OwnAttitude) -> AttitudeFinding | None:
+        """What a report that is due shows of ours, if anything."""
+        self.check.compare(report, own.attitude)
+        if report.same_imu:
+            return self.reset.compare(report, own)
+        if own.resting and not own.compared:
+            return AttitudeFinding(at_rest(own.attitude, report.attitude))
+        step = self._second_gyro.add_attitude(report, own.gyro_bias_rad_s)
+        return None if step is None else AttitudeFinding(step)
+
+
+class AttitudeReset:
+    """Resets ours to the autopilot's, report by report, where both use the same IMU."""
+
+    def __init__(self) -> None:
+        self._heading_rad: float | None = None  # ours less theirs
+        self._learnt_s = 0.0
+        self._wrong_since_s: float | None = None
+        self._gap: tuple[float, float] | None = None  # its end, and how long it was
+
+    def note_gap(self, time_s: float, lasted_s: float) -> None:
+        """Our stream goes on at time_s, after nothing had come for so long."""
+        self._gap = (time_s, lasted_s)
+
+    def compare(self, report: AutopilotAttitude, own: OwnAttitude) -> AttitudeFinding | None:
+        """The reset that a report makes necessary, if any."""
+        tilt_rad, heading_rad = apart(own.attitude, report.attitude)
+        if self._heading_rad is None:
+            self._heading_rad, self._learnt_s = heading_rad, report.time_s
+        off_rad = math.remainder(heading_rad - self._heading_rad, math.tau)
+        if self._gap is not None:
+            return self._after_gap(report, own, tilt_rad, off_rad)
+        north, east, _ = own.covariance_rad2.diagonal().tolist()
+        tilt_std_rad = math.sqrt(north + east)
+        if tilt_std_rad > SURELY_RAD and tilt_rad > AFTER_GAP_RAD:
+            return self._finding(report, own, report.time_s, tilt_rad, "ours was uncertain")
+        limit_rad = DEVIATIONS * math.hypot(tilt_std_rad, THEIR_STD_RAD) + MISTIMED_S * own.turning_rad_s
+        if tilt_rad <= max(limit_rad, LEAST_APART_RAD):
+            self._wrong_since_s = None
+            share = min(max(report.time_s - self._learnt_s, 0.0) / LEARNING_S, 1.0)
+            self._heading_rad, self._learnt_s = self._heading_rad + share * off_rad, report.time_s
+            return None
+        self._wrong_since_s = report.time_s if self._wrong_since_s is None else self._wrong_since_s
+        if report.time_s - self._wrong_since_s < PERSISTS_S:
+            return None
+        return self._finding(report, own, self._wrong_since_s, tilt_rad, "its horizon differs")
+
+    def _after_gap(
+        self, report: AutopilotAttitude, own: OwnAttitude, tilt_rad: float, off_rad: float
+    ) -> AttitudeFinding | None:
+        assert self._gap is not None
+        end_s, lasted_s = self._gap
+        if report.time_s < end_s:
+            return None
+        self._gap = None
+        if tilt_rad <= AFTER_GAP_RAD and abs(off_rad) <= SURELY_RAD:
+            return None
+        why = f"{1e3 * lasted_s:.0f} ms of IMU data missing"
+        return self._finding(report, own, end_s, math.hypot(tilt_rad, off_rad), why)
+
+    def _finding(
+        self, report: AutopilotAttitude, own: OwnAttitude, since_s: float, apart_rad: float, why: str
+    ) -> AttitudeFinding:
+        """Theirs in our own heading, in place of ours."""
+        self._wrong_since_s = None
+        theirs = quat_multiply(quat_from_euler(0.0, 0.0, self._heading_rad or 0.0), report.attitude)
+        heading_std_rad = max(math.sqrt(own.covariance_rad2[2, 2]), 2.0 * THEIR_STD_RAD)
+        turn = quat_multiply(theirs, quat_conjugate(own.attitude))
+        words = f"attitude corrected by {math.degrees(apart_rad):.0f} deg to the autopilot's: {why}"
+        return AttitudeFinding(
+            AttitudeStep(turn, THEIR_STD_RAD, heading_std_rad), report.time_s, since_s, words
+        )
+
+
+def apart(ours: Quaternion, theirs: Quaternion) -> tuple[float, float]:
+    """How far the horizons are apart (rad, 0 to pi), and by how much our heading is ahead of theirs (rad)."""
+    cosine = dot(down_in_body(ours), down_in_body(theirs))
+    return math.acos(max(-1.0, min(1.0, cosine))), heading_between(ours, theirs)
