@@ -21,15 +21,14 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     euler_from_quat,
+    matrix_from_quat,
     norm,
     quat_conjugate,
-    quat_from_rotation_vector,
     quat_multiply,
     quat_normalise,
     quat_rotate,
     quat_rotate_inverse,
     rotation_vector_from_quat,
-    scale,
     vector3,
 )
 from companion.config import EkfConfig
@@ -46,7 +45,7 @@ from companion.estimate.vehicle.ekf_inputs import (
 from companion.estimate.vehicle.ekf_start import MOVING_SPEED_M_S, InitialState
 from companion.estimate.vehicle.ekf_state import EYE, FIXES, EkfSnapshot, EkfState
 from companion.estimate.vehicle.fix_watch import LastFix
-from companion.estimate.vehicle.gyro_bias_check import BiasStep
+from companion.estimate.vehicle.gyro_bias_check import STRIDE_S, BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import YawError
 
@@ -59,9 +58,8 @@ GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 
 GPS_TIMEOUT_S: Final = 2.0
 
 STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope shows
-STEP_TURN_STD_RAD: Final = math.radians(0.5)
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
-SUSPECTED_TURN_RAD: Final = math.radians(2.0)
+SUSPECTED_TURN_RAD: Final = math.radians(2.0)  # by the time that fixes show it
 LARGEST_CARRIED: Final = 0.02  # of a quaternion's component, by a late fix: 2 deg
 
 
@@ -227,7 +225,7 @@ class VehicleEkf(EkfState):
     def _restart_attitude(self, attitude: Quaternion, rotation: FloatArray) -> None:
         """Take the pre-filter's attitude; what has led away from it may be the gyroscope's bias."""
         self._start_attitude(attitude, rotation)
-        self._widen(model.GYRO_BIAS, SUSPECTED_BIAS_RAD_S)
+        self._suspect_bias()
         self.watch = self.watch.renewed()._replace(restarted_s=self.time_s)
 
     def _take_field(self, field_body_ut: Vector3) -> None:
@@ -269,11 +267,15 @@ class VehicleEkf(EkfState):
         along = max(MAG_DIP_NOISE_UT**2, across)
         return along * EYE3 - (along - across) * (east[:, None] * east)
 
-    def _suspect_bias(self) -> None:
-        """Open the filter for another bias of the gyroscope, and for the turn it has made already."""
-        self._inflate_rotation(SUSPECTED_TURN_RAD**2 * EYE3)
-        self._widen(model.GYRO_BIAS, SUSPECTED_BIAS_RAD_S)
-        self.fix_watch = self.fix_watch.suspected(self.time_s)
+    def _suspect_bias(self, for_s: float = 0.0) -> None:
+        """The gyroscope's bias may have stepped. If it is known how long ago, the attitude has turned by as
+        much as that makes since then, and what shows one of the two shows the other.
+        """
+        q, G = self.attitude, np.zeros((model.STATES, 3))
+        turned = -for_s * model.quaternion_jacobian(q) @ matrix_from_quat(q)
+        G[model.ATTITUDE] = np.vstack((turned, model.euler_jacobian(q) @ turned))
+        G[model.GYRO_BIAS] = EYE3
+        self.P = self.P + SUSPECTED_BIAS_RAD_S**2 * (G @ G.T)
 
     def _take_anchor(self, step: AttitudeStep) -> None:
         """Turn the attitude; what was measured with the wrong one has gone into the velocity."""
@@ -327,6 +329,8 @@ class VehicleEkf(EkfState):
         gate = self.gates.get("gps_velocity", Gate())
         if self.fix_watch.suspicious(self.time_s, gate.refused_in_a_row):
             self._suspect_bias()
+            self._inflate_rotation(SUSPECTED_TURN_RAD**2 * EYE3)
+            self.fix_watch = self.fix_watch.suspected(self.time_s)
 
     def _watch_heading(self, time_s: float, fix: GpsStep, predicted_m_s: Vector3, lag: FloatArray) -> None:
         corrected, _ = model.gps_velocity_model(self.x, self._antenna_body_m, time_s - self.time_s)
@@ -335,14 +339,13 @@ class VehicleEkf(EkfState):
         self.fix_watch = self.fix_watch.turned(last, predicted_m_s, variance, fix.usual_force_error_m_s2)
 
     def _take_bias_step(self, step: BiasStep) -> None:
-        """Take the bias that a second gyroscope shows, and turn back what the old one has turned."""
-        self._set_anew(model.GYRO_BIAS, step.gyro_bias_rad_s, STEP_STD_RAD_S**2 * EYE3)
-        turn = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
-        attitude = quat_normalise(quat_multiply(self.attitude, turn))
-        x = self.x.copy()
-        x[model.ATTITUDE] = (*attitude, *euler_from_quat(attitude))
-        self.x = x
-        self._inflate_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * EYE3)
+        """Take the bias that a second gyroscope shows; what the old one has turned goes back with it."""
+        self._suspect_bias(step.for_s)
+        C = np.zeros((3, model.STATES))
+        C[:, model.GYRO_BIAS] = EYE3
+        innovation = step.gyro_bias_rad_s - self.x[model.GYRO_BIAS]
+        self._correct(innovation, C, STEP_STD_RAD_S**2 * EYE3)
+        self._inflate_rotation((STRIDE_S * norm(vector3(innovation))) ** 2 * EYE3)
 
     def _start_from(self, time_s: float, fix: GpsStep, keep_speed: bool) -> None:
         """Take position and velocity from the fix alone: at first, or when the old ones proved wrong.

@@ -48,10 +48,10 @@ LEAST_SHARE: Final = 0.25  # of a window's change, in each of its strides
 
 
 class BiasStep(NamedTuple):
-    """The bias that two windows agree on, and what it has turned the attitude by (body, rad)."""
+    """The bias that two windows agree on, and for how long it has turned the attitude."""
 
     gyro_bias_rad_s: Vector3
-    turned_rad: Vector3
+    for_s: float
 
 
 class _Anchor(NamedTuple):
@@ -99,10 +99,7 @@ class SecondGyro:
             return None
         anchors.clear()
         self._last = None
-        # over the newest window, and before it over what the window before has more
-        change, earlier = subtract(bias, gyro_bias_rad_s), subtract(last, gyro_bias_rad_s)
-        turned = add(scale(change, time_s - window[0].time_s), scale(earlier, STRIDE_S))
-        return BiasStep(bias, turned)
+        return BiasStep(bias, time_s - window[0].time_s + STRIDE_S)
 
     def _is_step(self, window: list[_Anchor], last: Vector3, bias: Vector3, assumed: Vector3) -> bool:
         if norm(subtract(bias, last)) > AGREE_RAD_S or norm(bias) > LARGEST_RAD_S:

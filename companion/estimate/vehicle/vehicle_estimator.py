@@ -20,9 +20,7 @@ from companion.base.geometry import (
     Vector3,
     add,
     norm,
-    quat_from_rotation_vector,
     quat_multiply,
-    quat_normalise,
     quat_rotate_inverse,
     scale,
     vector3,
@@ -54,7 +52,6 @@ from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuSte
 from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.field_mean import FieldMean
-from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import ImuNoise
 from companion.estimate.vehicle.inertial_motion import InertialMotion
 from companion.estimate.vehicle.innovation_watch import TroubleReport
@@ -228,11 +225,7 @@ class VehicleEstimator:
             inertial.attitude = quat_multiply(step.turn, inertial.attitude)  # as the history
             self.corrections += (found.words,)
         self._read_ekf()
-        if isinstance(step, AttitudeStep):
-            orientation.attitude = inertial.attitude
-        elif isinstance(step, BiasStep):
-            back = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
-            orientation.attitude = quat_normalise(quat_multiply(orientation.attitude, back))
+        orientation.attitude = inertial.attitude  # it has turned as wrongly
 
     def attitude_comparisons(self) -> tuple[SourceComparison, ...]:
         """Of our attitude with the autopilot's, and of both clocks."""
