@@ -46,7 +46,7 @@ class AttitudeCheck:
         self._since_s = self._last_s = -math.inf
         self._reports = 0
         self._askew = [0.0, 0.0]  # about forward and right: the horizons' difference
-        self._heading_rad = 0.0  # ours less theirs
+        self.heading_rad: float | None = None  # ours less theirs
         self._figures: tuple[Quaternion, Quaternion] | None = None
         # sums over reports: the rates' squares, and the rates times the differences
         self._turned = self._lagged = 0.0
@@ -88,7 +88,7 @@ class AttitudeCheck:
                 Quantity.HEADING,
                 f"{ours[2] % 360.0:.0f} deg",
                 f"{theirs[2] % 360.0:.0f} deg",
-                difference=math.degrees(abs(self._heading_rad)),
+                difference=math.degrees(abs(self.heading_rad or 0.0)),
                 std=math.degrees(math.hypot(math.sqrt(down), OTHER_COMPASS_STD_RAD)),
             ),
         )
@@ -110,9 +110,10 @@ class AttitudeCheck:
         low_pass = -math.expm1(-(time_s - self._last_s) / TIME_CONSTANT_S)
         share = max(low_pass if self._reports > 1 else 1.0, 1.0 / self._reports)
         self._askew = [m + share * (angle * v - m) for m, v in zip(self._askew, (x, y), strict=True)]
-        turn_rad = math.remainder(heading_rad - self._heading_rad, math.tau)
+        last_rad = heading_rad if self.heading_rad is None else self.heading_rad
+        turn_rad = math.remainder(heading_rad - last_rad, math.tau)
         self._learn_lag(time_s, share, (angle * x - self._askew[0], angle * y - self._askew[1]))
-        self._heading_rad = math.remainder(self._heading_rad + share * turn_rad, math.tau)
+        self.heading_rad = math.remainder(last_rad + share * turn_rad, math.tau)
         self._last_s, self._figures = time_s, (ours, theirs)
 
     def _learn_lag(self, time_s: float, share: float, apart_rad: tuple[float, float]) -> None:

@@ -12,7 +12,7 @@ With the autopilot's own sensors by telemetry, its filter has every sample, and 
 link delivers. After a gap in the stream ours has missed a rotation, so it is reset to the autopilot's. The
 same happens if our attitude is poorly known, as after a start in motion, and if the horizons differ by more
 than both errors for longer than a manoeuvre explains. Each filter finds north itself: the difference of the
-headings is learnt in normal operation and kept; by itself it is no fault.
+headings (`attitude_check`) is kept; by itself it is no fault.
 
 Rotations about NED axes, rad, s.
 """
@@ -48,7 +48,6 @@ LEAST_APART_RAD: Final = math.radians(5.0)  # in a steady stream
 AFTER_GAP_RAD: Final = math.radians(1.5)
 MISTIMED_S: Final = 0.03  # their reports and our samples: a turn makes that much of difference
 PERSISTS_S: Final = 0.2
-LEARNING_S: Final = 5.0
 REPORTS_KEPT: Final = 50
 
 
@@ -98,10 +97,15 @@ class AutopilotAttitudes:
                 yield come, ours
 
     def shown_by(self, report: AutopilotAttitude, own: OwnAttitude) -> AttitudeFinding | None:
-        """What a report that is due shows of ours, if anything."""
+        """What a report that is due shows of ours, if anything; of one within a gap ours is not known."""
+        if self.reset.waits(report.time_s):
+            return None
+        found = self.reset.compare(report, own, self.check.heading_rad) if report.same_imu else None
+        if found is not None:
+            return found
         self.check.compare(report, own.attitude)
         if report.same_imu:
-            return self.reset.compare(report, own)
+            return None
         if own.resting and not own.compared:
             return AttitudeFinding(at_rest(own.attitude, report.attitude))
         step = self._second_gyro.add_attitude(report, own.gyro_bias_rad_s)
@@ -112,8 +116,6 @@ class AttitudeReset:
     """Resets ours to the autopilot's, report by report, where both use the same IMU."""
 
     def __init__(self) -> None:
-        self._heading_rad: float | None = None  # ours less theirs
-        self._learnt_s = 0.0
         self._wrong_since_s: float | None = None
         self._gap: tuple[float, float] | None = None  # its end, and how long it was
 
@@ -121,54 +123,42 @@ class AttitudeReset:
         """Our stream goes on at time_s, after nothing had come for so long."""
         self._gap = (time_s, lasted_s)
 
-    def compare(self, report: AutopilotAttitude, own: OwnAttitude) -> AttitudeFinding | None:
-        """The reset that a report makes necessary, if any."""
-        tilt_rad, heading_rad = apart(own.attitude, report.attitude)
-        if self._heading_rad is None:
-            self._heading_rad, self._learnt_s = heading_rad, report.time_s
-        off_rad = math.remainder(heading_rad - self._heading_rad, math.tau)
-        if self._gap is not None:
-            return self._after_gap(report, own, tilt_rad, off_rad)
-        north, east, _ = own.covariance_rad2.diagonal().tolist()
-        tilt_std_rad = math.sqrt(north + east)
-        if tilt_std_rad > SURELY_RAD and tilt_rad > AFTER_GAP_RAD:
-            return self._finding(report, own, report.time_s, tilt_rad, "ours was uncertain")
-        limit_rad = DEVIATIONS * math.hypot(tilt_std_rad, THEIR_STD_RAD) + MISTIMED_S * own.turning_rad_s
-        if tilt_rad <= max(limit_rad, LEAST_APART_RAD):
-            self._wrong_since_s = None
-            share = min(max(report.time_s - self._learnt_s, 0.0) / LEARNING_S, 1.0)
-            self._heading_rad, self._learnt_s = self._heading_rad + share * off_rad, report.time_s
-            return None
-        self._wrong_since_s = report.time_s if self._wrong_since_s is None else self._wrong_since_s
-        if report.time_s - self._wrong_since_s < PERSISTS_S:
-            return None
-        return self._finding(report, own, self._wrong_since_s, tilt_rad, "its horizon differs")
+    def waits(self, time_s: float) -> bool:
+        """Whether a gap is not over at a time."""
+        return self._gap is not None and time_s < self._gap[0]
 
-    def _after_gap(
-        self, report: AutopilotAttitude, own: OwnAttitude, tilt_rad: float, off_rad: float
+    def compare(
+        self, report: AutopilotAttitude, own: OwnAttitude, ahead_rad: float | None
     ) -> AttitudeFinding | None:
-        assert self._gap is not None
-        end_s, lasted_s = self._gap
-        if report.time_s < end_s:
+        """The reset that a report makes necessary, if any; our heading is usually `ahead_rad` of theirs."""
+        tilt_rad, now_rad = apart(own.attitude, report.attitude)
+        ahead_rad = now_rad if ahead_rad is None else ahead_rad
+        off_rad = math.remainder(now_rad - ahead_rad, math.tau)
+        north, east, down = own.covariance_rad2.diagonal().tolist()
+        std_rad = math.sqrt(north + east)
+        limit_rad = DEVIATIONS * math.hypot(std_rad, THEIR_STD_RAD) + MISTIMED_S * own.turning_rad_s
+        wrong_since_s, self._wrong_since_s = self._wrong_since_s, None
+        gap, self._gap = self._gap, None
+        since_s, apart_rad = report.time_s, tilt_rad
+        if gap is not None:
+            since_s, apart_rad = gap[0], math.hypot(tilt_rad, off_rad)
+            why = f"{1e3 * gap[1]:.0f} ms of IMU data missing"
+            wrong = tilt_rad > AFTER_GAP_RAD or abs(off_rad) > SURELY_RAD
+        elif std_rad > SURELY_RAD:
+            wrong, why = tilt_rad > AFTER_GAP_RAD, "ours was uncertain"
+        else:
+            since_s = report.time_s if wrong_since_s is None else wrong_since_s
+            differs = tilt_rad > max(limit_rad, LEAST_APART_RAD)
+            wrong, why = differs and report.time_s - since_s >= PERSISTS_S, "its horizon differs"
+            if differs and not wrong:
+                self._wrong_since_s = since_s
+        if not wrong:
             return None
-        self._gap = None
-        if tilt_rad <= AFTER_GAP_RAD and abs(off_rad) <= SURELY_RAD:
-            return None
-        why = f"{1e3 * lasted_s:.0f} ms of IMU data missing"
-        return self._finding(report, own, end_s, math.hypot(tilt_rad, off_rad), why)
-
-    def _finding(
-        self, report: AutopilotAttitude, own: OwnAttitude, since_s: float, apart_rad: float, why: str
-    ) -> AttitudeFinding:
-        """Theirs in our own heading, in place of ours."""
-        self._wrong_since_s = None
-        theirs = quat_multiply(quat_from_euler(0.0, 0.0, self._heading_rad or 0.0), report.attitude)
-        heading_std_rad = max(math.sqrt(own.covariance_rad2[2, 2]), 2.0 * THEIR_STD_RAD)
+        theirs = quat_multiply(quat_from_euler(0.0, 0.0, ahead_rad), report.attitude)
         turn = quat_multiply(theirs, quat_conjugate(own.attitude))
+        step = AttitudeStep(turn, THEIR_STD_RAD, max(math.sqrt(down), 2.0 * THEIR_STD_RAD))
         words = f"attitude corrected by {math.degrees(apart_rad):.0f} deg to the autopilot's: {why}"
-        return AttitudeFinding(
-            AttitudeStep(turn, THEIR_STD_RAD, heading_std_rad), report.time_s, since_s, words
-        )
+        return AttitudeFinding(step, report.time_s, since_s, words)
 
 
 def apart(ours: Quaternion, theirs: Quaternion) -> tuple[float, float]:

@@ -5,6 +5,10 @@ snapshot, which `gating.Timeline` uses for a late fix. NED and FRD, SI units, µ
 
 Between two steps of the IMU the state is constant: a fix is compared with the state extrapolated to its own
 time.
+
+The paper's 31 states keep their form. What else is estimated of the vehicle's sensors are states, too, each
+in a filter of its own: scale and misalignment of the gyroscope in a yaw (3, `yaw_error`, correlated with the
+31), the IMU's place with the air's force (6, `lever_arm`), the delay of the magnetometer (1, `field_mean`).
 """
 
 from __future__ import annotations

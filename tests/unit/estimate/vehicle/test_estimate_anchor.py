@@ -56,7 +56,8 @@ FLIGHT = EstimateFlight(
     swing, heading=kick, seed=31, duration_s=24.0, sensors=frozenset({"imu", "mag", "gps"})
 )
 NORTH_OF_THEIRS = quat_from_euler(0.0, 0.0, 0.4)  # their heading is their own
-OURS = quat_from_euler(0.0, 0.0, 0.4)
+AHEAD_RAD = 0.4  # of theirs is our heading, as a rule
+OURS = quat_from_euler(0.0, 0.0, AHEAD_RAD)
 SURE, STEADY = 0.5 * DEGREE, 0.0  # our horizon's deviation, and how fast we turn
 
 
@@ -136,7 +137,9 @@ def words(
 ) -> list[float]:
     """When ours is set right, of words at 30 Hz."""
     own = ours(std_rad, rate)
-    found = [reset.compare(AutopilotAttitude(k / 30.0, theirs), own) for k in range(round(30 * seconds))]
+    found = [
+        reset.compare(AutopilotAttitude(k / 30.0, theirs), own, AHEAD_RAD) for k in range(round(30 * seconds))
+    ]
     return [correction.time_s for correction in found if correction is not None]
 
 
@@ -157,7 +160,7 @@ def test_a_single_word_that_is_off_changes_nothing() -> None:
     reset = AttitudeReset()
     for k in range(60):
         theirs = tilted(30.0) if k % 10 == 0 else tilted(0.0)
-        assert reset.compare(AutopilotAttitude(k / 30.0, theirs), ours()) is None
+        assert reset.compare(AutopilotAttitude(k / 30.0, theirs), ours(), AHEAD_RAD) is None
 
 
 def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() -> None:
@@ -167,7 +170,9 @@ def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() 
 def test_what_is_set_right_keeps_our_own_heading() -> None:
     reset = AttitudeReset()
     assert words(reset, tilted(0.0), 2.0) == []
-    found = [reset.compare(AutopilotAttitude(3.0 + k / 30.0, tilted(10.0)), ours()) for k in range(30)]
+    found = [
+        reset.compare(AutopilotAttitude(3.0 + k / 30.0, tilted(10.0)), ours(), AHEAD_RAD) for k in range(30)
+    ]
     step = next(found.step for found in found if found is not None)
     assert isinstance(step, AttitudeStep)
     tilt_rad, heading_rad = apart(quat_multiply(step.turn, OURS), tilted(10.0))
