@@ -48,7 +48,7 @@ from companion.estimate.vehicle.ekf_inputs import (
 )
 from companion.estimate.vehicle.ekf_start import MOVING_SPEED_M_S, InitialState
 from companion.estimate.vehicle.ekf_state import EYE, FIXES, EkfSnapshot, EkfState
-from companion.estimate.vehicle.fix_watch import LastFix
+from companion.estimate.vehicle.fix_watch import PAUSE_S, LastFix
 from companion.estimate.vehicle.gyro_bias_check import STRIDE_S, BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import YawError
@@ -113,7 +113,8 @@ class VehicleEkf(EkfState):
         What the fix changes at its time moves on as errors do: x by a product of Jacobians, P on both sides.
         The gains of the newer inputs stay as they were, a little larger than they would have been: P is that
         of the estimate so made. None for a first fix, for one that turns the attitude by more than the
-        Jacobians hold, and when something newer has reset states or is a fix itself.
+        Jacobians hold, while the attitude is suspect (the gains change), and when something newer has reset
+        states or is a fix itself.
         """
         if not isinstance(item, GpsStep) or not base.has_position:
             return None
@@ -122,7 +123,8 @@ class VehicleEkf(EkfState):
         self.restore(base)
         self.apply(time_s, item)
         dx, dP = self.x - base.x, self.P - base.P
-        if np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
+        suspect = self.time_s - self.fix_watch.suspected_s < PAUSE_S
+        if suspect or np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
             return None
         fixed = {kind: gate for kind, gate in self.gates.items() if kind in FIXES}
         after, since = [self.snapshot()], EYE
@@ -334,6 +336,9 @@ class VehicleEkf(EkfState):
         if self.fix_watch.suspicious(self.time_s, gate.refused_in_a_row):
             self._suspect_bias()
             self._inflate_rotation(SUSPECTED_TURN_RAD**2 * EYE3)
+            # what a tilt that has grown so far at that rate has made of the velocity
+            for_s = SUSPECTED_TURN_RAD / SUSPECTED_BIAS_RAD_S
+            self._widen(model.VELOCITY, 0.5 * GRAVITY_M_S2 * SUSPECTED_TURN_RAD * for_s)
             self.fix_watch = self.fix_watch.suspected(self.time_s)
 
     def _watch_heading(self, time_s: float, fix: GpsStep, predicted_m_s: Vector3, lag: FloatArray) -> None:
