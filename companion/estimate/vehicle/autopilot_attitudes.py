@@ -82,18 +82,22 @@ class AutopilotAttitudes:
 
     def __init__(self, motion: MotionHistory) -> None:
         self._motion = motion
+        self._since_s = -math.inf if motion.newest_s is None else motion.newest_s
         self._waiting: deque[AutopilotAttitude] = deque(maxlen=REPORTS_KEPT)
         self.check, self.reset = AttitudeCheck(motion), AttitudeReset()
         self._second_gyro = SecondGyro(motion)
 
     def due(self, report: AutopilotAttitude) -> Iterator[tuple[AutopilotAttitude, Quaternion]]:
-        """Take a report; those that our own samples have come up to, each with ours at its time."""
+        """Take a report; those that our own samples have come up to, each with ours at its time.
+
+        What `motion` held at the start is of another alignment, and no report is compared with that.
+        """
         self._waiting.append(report)
         newest_s = self._motion.newest_s
         while newest_s is not None and self._waiting and self._waiting[0].time_s <= newest_s:
             come = self._waiting.popleft()
             ours = self._motion.attitude(come.time_s)
-            if ours is not None:
+            if ours is not None and come.time_s > self._since_s:
                 yield come, ours
 
     def shown_by(self, report: AutopilotAttitude, own: OwnAttitude) -> AttitudeFinding | None:

@@ -197,6 +197,15 @@ def test_words_wait_until_our_own_samples_have_come_as_far() -> None:
     assert own == pytest.approx(tilted(2.0)), "ours at its time"
 
 
+def test_a_report_is_not_compared_with_ours_of_another_alignment() -> None:
+    motion = MotionHistory(3.0)
+    motion.add(0.99, tilted(5.0), ZERO3)
+    attitudes = AutopilotAttitudes(motion)
+    motion.add(1.0, tilted(0.0), ZERO3)
+    assert list(attitudes.due(AutopilotAttitude(0.98, tilted(0.0)))) == []
+    assert len(list(attitudes.due(AutopilotAttitude(1.0, tilted(0.0))))) == 1
+
+
 # ---------------------------------------------------------------- late, and silent
 
 
