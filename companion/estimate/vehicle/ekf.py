@@ -48,7 +48,7 @@ from companion.estimate.vehicle.ekf_inputs import (
 )
 from companion.estimate.vehicle.ekf_start import MOVING_SPEED_M_S, InitialState
 from companion.estimate.vehicle.ekf_state import EYE, FIXES, EkfSnapshot, EkfState
-from companion.estimate.vehicle.fix_watch import PAUSE_S, LastFix
+from companion.estimate.vehicle.fix_watch import LastFix
 from companion.estimate.vehicle.gyro_bias_check import STRIDE_S, BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import YawError
@@ -123,8 +123,7 @@ class VehicleEkf(EkfState):
         self.restore(base)
         self.apply(time_s, item)
         dx, dP = self.x - base.x, self.P - base.P
-        suspect = self.time_s - self.fix_watch.suspected_s < PAUSE_S
-        if suspect or np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
+        if self.fix_watch.suspect(self.time_s) or np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
             return None
         fixed = {kind: gate for kind, gate in self.gates.items() if kind in FIXES}
         after, since = [self.snapshot()], EYE

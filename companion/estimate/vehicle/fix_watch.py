@@ -21,6 +21,7 @@ from typing import Final, NamedTuple
 
 from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
 from companion.estimate.gating import CHI_SQUARE_999
+from companion.estimate.vehicle.innovation_watch import WINDOW_S
 
 EXCESS_SHARE: Final = 0.35  # of a new fix in the fading mean of the tests
 SCATTER_SHARE: Final = 0.1  # the same, for the noise
@@ -32,7 +33,6 @@ _CHANCE: Final = DIRECTION_SHARE / (2.0 - DIRECTION_SHARE)
 CHANCE_MARGIN: Final = 2.0
 FORCE_ERROR_S: Final = 1.0  # an erroneous force stays off for so long
 DRIFT_S: Final = 0.2  # a force that is off leads the velocity away for so long before a fix shows it
-PAUSE_S: Final = 3.0  # for the last suspicion to have its effect
 MOST_REFUSED: Final = 5  # in a row; a jump needs more to show its direction
 HEADING_S: Final = 5.0  # changes of velocity count for the heading that it has had for so long
 LONGEST_CHANGE_S: Final = 1.0  # between two fixes
@@ -159,13 +159,17 @@ class FixWatch(NamedTuple):
     def _one_sided(self) -> bool:
         return dot(self.mean_m_s, self.mean_m_s) > ONE_SIDED * self.mean_square
 
+    def suspect(self, time_s: float) -> bool:
+        """Whether the last suspicion has not had its effect yet."""
+        return time_s - self.suspected_s < WINDOW_S
+
     def suspicious(self, time_s: float, refused_in_a_row: int) -> bool:
         """Whether the attitude is suspect; the fixes themselves have been refused so often."""
         return (
             self.excess > BOUND
             and self._one_sided
             and refused_in_a_row <= MOST_REFUSED
-            and time_s - self.suspected_s >= PAUSE_S
+            and not self.suspect(time_s)
         )
 
     def suspected(self, time_s: float) -> FixWatch:

@@ -17,9 +17,8 @@ from typing import Final, NamedTuple
 
 from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
 from companion.estimate.gating import CHI_SQUARE_999
-from companion.estimate.vehicle.fix_watch import FixWatch
 
-WINDOW_S: Final = 3.0
+WINDOW_S: Final = 3.0  # and a doubt has so long to have its effect
 _TROUBLES: Final = (
     "attitude uncertain: biased against the orientation filter",
     "attitude uncertain: velocity biased against GPS",
@@ -73,9 +72,10 @@ class TroubleReport:
     def __init__(self) -> None:
         self._reported_s = (-math.inf,) * len(_TROUBLES)
 
-    def news(self, watch: InnovationWatch, fixes: FixWatch) -> tuple[str, ...]:
-        """What was not said before."""
-        happened_s = (watch.doubted_s, fixes.suspected_s, watch.restarted_s)
+    def news(self, doubted_s: float, suspected_s: float, restarted_s: float) -> tuple[str, ...]:
+        """What was not said before: when the attitude was last doubted by the pre-filter, suspected by the
+        fixes, and reset."""
+        happened_s = (doubted_s, suspected_s, restarted_s)
         if happened_s == self._reported_s:
             return ()
         times_s = zip(happened_s, self._reported_s, _TROUBLES, strict=True)

@@ -390,7 +390,8 @@ class VehicleEstimator:
 
     def _read_ekf(self) -> None:
         assert self._ekf is not None
-        self.corrections += self._trouble.news(self._ekf.watch, self._ekf.fix_watch)
+        watch, fixes = self._ekf.watch, self._ekf.fix_watch
+        self.corrections += self._trouble.news(watch.doubted_s, fixes.suspected_s, watch.restarted_s)
         self._inertial.gyro_bias_rad_s = vector3(self._ekf.x[model.GYRO_BIAS])
         self._inertial.accel_bias_m_s2 = vector3(self._ekf.x[model.ACCEL_BIAS])
         self.motion.noise_density_m2_s3 = self._ekf.force_density_m2_s3

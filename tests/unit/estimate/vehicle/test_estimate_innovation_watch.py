@@ -24,7 +24,6 @@ from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
-from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.innovation_watch import InnovationWatch, TroubleReport
 from tests.attitudes import DEGREE, between_deg
 from tests.unit.estimate.at_rest import DOWN_FORCE, FIELD
@@ -145,12 +144,11 @@ def test_an_attitude_that_fits_is_left_alone() -> None:
 
 
 def test_what_was_done_is_said_once() -> None:
-    report, fixes = TroubleReport(), FixWatch()
-    assert report.news(InnovationWatch(), fixes) == ()
-    doubted = InnovationWatch(doubted_s=5.0)
-    assert len(report.news(doubted, fixes)) == 1
-    assert report.news(doubted, fixes) == ()
-    words = report.news(doubted._replace(restarted_s=9.0), fixes.suspected(8.0))
+    report, never = TroubleReport(), -math.inf
+    assert report.news(never, never, never) == ()
+    assert len(report.news(5.0, never, never)) == 1
+    assert report.news(5.0, never, never) == ()
+    words = report.news(5.0, 8.0, 9.0)
     assert len(words) == 2
     assert any("attitude reset" in line for line in words)
     assert any("GPS" in line for line in words)
