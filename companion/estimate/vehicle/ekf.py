@@ -21,6 +21,7 @@ import numpy as np
 
 from companion.base.geometry import (
     EYE3,
+    GRAVITY_M_S2,
     FloatArray,
     Quaternion,
     Vector3,

@@ -286,13 +286,13 @@ class TouchdownSequence:
             if not stopped:  # it may stand: that takes as long to be told
                 self._lift_off(sight, now_s)
                 return MissionEvent.MISALIGNED, overdue
-        # Below twice contact_margin_m the reference is left to run ahead, so that a vehicle that stands is
-        # told by not following it.
         high = sight.height_m > self._low_m
         begun = asked_m_s >= 0.5 * self._config.contact_speed_m_s
         held_up = begun and sight.sink_m_s <= _HELD_UP * asked_m_s
-        self._give_way(sight if high and not held_up else None, now_s)
+        # A level vehicle drifts until it touches: from then on the reference goes down as planned. A vehicle
+        # that the ground's cushion slows is pressed after it; one that stands is told by not following it.
         tilts_on = not self._levelling.begun
+        self._give_way(sight if tilts_on and not held_up else None, now_s)
         self._levelling.expect(sight, self.tilt, now_s)
         if high and sight.unseen_s <= UNSEEN_S and sight.height_m < self._lowest_m:
             # a gust may have held it up: while it comes lower than before, the contact is due by what is seen
