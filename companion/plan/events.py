@@ -22,7 +22,7 @@ class MissionEvent(StrEnum):
     READY = "ready"  # autopilot connected and ready to arm, our estimate aligned
     ALREADY_ARMED = "already_armed"  # and not by us
     ALIGNMENT_LOST = "alignment_lost"  # our estimate's, before the autopilot would arm
-    ARMED = "armed"
+    ARMED = "armed"  # by us: our request was granted
     AIRBORNE = "airborne"  # take-off height reached
     BLOCKED = "blocked"  # the same, but an obstacle is in the straight way that the autopilot would fly
     HOME_UNKNOWN = "home_unknown"  # the same, but where the obstacles are is not known

@@ -125,6 +125,7 @@ class PhaseSteering:
             ground=ground,
             waypoints=self._waypoints,
             avoidance=generator.avoidance,
+            requests=requests,
             say=say,
         )
         self.search = Search(config.search, generator, config.mission.pad_speed_m_s)

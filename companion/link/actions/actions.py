@@ -115,11 +115,16 @@ class PymavlinkActions:
     # ------------------------------------------------------------ the actions
 
     async def _arm(self, action: Action) -> None:
+        """Arm it, but not a vehicle that shows to be armed before it has answered.
+
+        A pilot may have armed it, and then it accepts an ARM all the same. Its answer leaves before the
+        heartbeat that shows it armed: where the answer was lost, nobody can tell who has armed it.
+        """
         await self.require_setup()  # on the ground is the better place to hear that control will be refused
         profile = self.dialogue.profile()
         if profile.takes_off_under_control:
             await self.dialogue.set_mode(profile.control_mode)
-        await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
+        await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0), void=self.unless_armed)
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
 
     async def _take_off(self, action: Action) -> None:
@@ -204,6 +209,10 @@ class PymavlinkActions:
         """Come down where it is, by the autopilot's own mode; as `hold`."""
         mode = self.dialogue.profile().land_mode
         await self.dialogue.set_mode(mode, void or self.unless_taken(mode))
+
+    def unless_armed(self) -> str:
+        """Says that it is armed."""
+        return "armed before it has answered" if self._session.state.armed else ""
 
     def unless_taken(self, *ours: str) -> Callable[[], str]:
         """What says that since now somebody else, a pilot or a failsafe, has changed to none of our modes.

@@ -127,6 +127,8 @@ class MavsdkActions(PymavlinkActions):
         profile = self.dialogue.profile()
         if profile.takes_off_under_control:
             await self.dialogue.set_mode(profile.control_mode)
+        if armed := self.unless_armed():
+            raise Refused(armed)
         await self._try(self._action.arm())
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
 

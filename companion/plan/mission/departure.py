@@ -16,6 +16,7 @@ from companion.plan.inputs import PlanInputs
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack
 from companion.plan.mission.readiness import not_ready_to_arm
+from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import State
 from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.waypoints import Waypoints
@@ -40,10 +41,12 @@ class Departure:
         ground: HeightAboveGround,
         waypoints: Waypoints,
         avoidance: Avoidance,
+        requests: Requests,
         say: Announcements,
     ) -> None:
         self._config, self._pad, self._ground = config, pad, ground
-        self._waypoints, self._avoidance, self._say = waypoints, avoidance, say
+        self._waypoints, self._avoidance = waypoints, avoidance
+        self._requests, self._say = requests, say
         self._held = Debounce()
         self._sent_to: Vector3 | None = None  # latitude, longitude, altitude
 
@@ -67,7 +70,7 @@ class Departure:
         if state is State.ARM:
             if vehicle is None or not vehicle.aligned:
                 return MissionEvent.ALIGNMENT_LOST, "before the autopilot armed"
-            return (MissionEvent.ARMED, "motors on") if autopilot.armed else None
+            return self._armed() if autopilot.armed else None
         if state is State.TAKE_OFF:
             return self._take_off(vehicle, autopilot, now_s)
         if self._pad.steady(now_s):
@@ -82,6 +85,14 @@ class Departure:
         if not missing:
             return MissionEvent.READY, "ready to arm"
         self._say.again("waiting", f"waiting: {', '.join(missing)}", now_s, REMIND_S)
+        return None
+
+    def _armed(self) -> DetectedEvent | None:
+        """Who has armed it: we, only where our request was granted; while that waits, nobody can tell."""
+        if self._requests.granted(ActionKind.ARM):
+            return MissionEvent.ARMED, "motors on"
+        if self._requests.answered(ActionKind.ARM):
+            return MissionEvent.ALREADY_ARMED, "no request of this app was granted"
         return None
 
     def _take_off(

@@ -69,6 +69,11 @@ class Requests:
         """What is asked for or was granted since `forget`, and what may still be carried out of before."""
         return frozenset({*self._pending, *self._accepted, *self._unanswered})
 
+    def answered(self, kind: ActionKind) -> bool:
+        """Whether no request of this kind is on its way, or with an autopilot that has not answered yet."""
+        pending = self._pending.get(kind)
+        return pending is None or pending.sent == 0 or pending.due_s < float("inf")
+
     def asked(self, kind: ActionKind) -> bool:
         """Whether a request of this kind has left since `forget`."""
         return kind in self._accepted or (kind in self._pending and self._pending[kind].sent > 0)

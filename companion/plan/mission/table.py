@@ -132,8 +132,8 @@ ROWS: Final = (
     *_rows(E.FLY_ORDERED, S.STANDBY, Branch(S.CONNECT)),
     # ---- to the waypoint; a refused arming is no event, it is asked for again until the time is up
     *_rows(E.READY, S.CONNECT, Branch(S.ARM, (_ARM,))),
-    # also after a restart in the air: somebody else flies the vehicle
-    *_rows(E.ALREADY_ARMED, S.CONNECT, _CONTROL_LOST),
+    # also after a restart in the air, or while arming is refused: somebody else has the vehicle
+    *_rows(E.ALREADY_ARMED, {S.CONNECT, S.ARM}, _CONTROL_LOST),
     *_rows(E.ALIGNMENT_LOST, S.ARM, _end(_DISARM)),
     *_rows(E.ARMED, S.ARM, Branch(S.TAKE_OFF, (_TAKE_OFF,))),
     *_rows(E.AIRBORNE, S.TAKE_OFF, Branch(S.WAYPOINT, (_GO_TO,))),

@@ -259,3 +259,22 @@ def test_a_cancelled_action_is_not_repeated() -> None:
     autopilot = FakeAutopilot(deaf_to={mavlink.MAV_CMD_DO_SET_MODE: 99})
     fly(autopilot, story)
     assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
+
+
+@pytest.mark.parametrize("asked_first", [True, False])
+def test_what_somebody_else_arms_before_our_request_is_answered_is_no_arming_of_ours(
+    asked_first: bool,
+) -> None:
+    autopilot = FakeAutopilot(mode="POSCTL", armed=not asked_first)
+    autopilot.deaf_to[mavlink.MAV_CMD_COMPONENT_ARM_DISARM] = 1
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.ARM)))
+        await asyncio.sleep(0.1)
+        autopilot.armed = True  # and it would accept our repeated request
+        session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
+        return [await asking]
+
+    [result] = fly(autopilot, story)
+    assert (result.accepted, result.text) == (False, "armed before it has answered")
+    assert len(autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == asked_first

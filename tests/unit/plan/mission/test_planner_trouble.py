@@ -42,6 +42,37 @@ def test_an_autopilot_that_never_arms_ends_it_on_the_ground() -> None:
     assert [kind for _, kind in w.autopilot.heard if kind is not ActionKind.ARM] == [ActionKind.DISARM]
 
 
+@pytest.mark.parametrize(
+    ("kind", "mode"), [("px4", "POSCTL"), ("ardupilot", "STABILIZE"), ("ardupilot", "LOITER")]
+)
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_vehicle_that_its_pilot_arms_while_arming_is_refused_is_the_pilots(
+    kind: str, mode: str, answers: bool
+) -> None:
+    w = world()
+    w.autopilot.autopilot_kind, w.autopilot.mode = kind, mode
+    w.autopilot.refuse[ActionKind.ARM] = 99
+    w.autopilot.silent = set() if answers else {ActionKind.ARM}
+    w.fly(12.0)
+    w.autopilot.armed = True
+    w.fly(10.0)
+    assert w.flight.phase is Phase.ABORT
+    assert {kind for _, kind in w.autopilot.heard} == {ActionKind.ARM}
+    assert w.autopilot.mode == mode
+    assert "already armed" in w.flight.told("phase")[-1]
+
+
+def test_as_long_as_arming_is_not_answered_nothing_else_is_asked_and_nobody_is_said_to_have_armed() -> None:
+    w = world()
+    w.autopilot.silent = {ActionKind.ARM}
+    w.fly(10.0, until=lambda x: x.autopilot.heard != [])
+    w.autopilot.armed, asked_s = True, w.now_s
+    w.fly(20.0)
+    assert [kind for _, kind in w.autopilot.heard] == [ActionKind.ARM]
+    assert w.flight.phase is Phase.ABORT
+    assert w.now_s - asked_s == pytest.approx(MissionConfig().action_answer_s, abs=0.1)
+
+
 def test_an_autopilot_whose_filter_does_not_know_where_it_is_is_not_asked_to_arm() -> None:
     w = world()
     w.autopilot.ekf_ready_from_s = 30.0
