@@ -153,7 +153,7 @@ class ActionQueue:
 
     def __init__(self, actions: PymavlinkActions, on_result: Callable[[ActionResult], None]) -> None:
         self._actions, self._on_result = actions, on_result
-        self._waiting: deque[Action] = deque()
+        self._waiting: deque[tuple[Action, str]] = deque()  # and the mode in which it was asked for
         self._arrived = asyncio.Event()
         self._beside: set[asyncio.Task[None]] = set()
         self._under_way: ActionKind | None = None
@@ -165,15 +165,15 @@ class ActionQueue:
     def add(self, action: Action) -> None:
         """Append an action; an urgent one goes before all others."""
         if action.kind is ActionKind.REQUEST_PAD_POSITION:
-            task = asyncio.create_task(self._perform(action))
+            task = asyncio.create_task(self._perform(action, self._actions.mode))
             self._beside.add(task)
             task.add_done_callback(self._beside.discard)
             return
         if action.kind in URGENT:
-            self._waiting = deque(waiting for waiting in self._waiting if waiting.kind in URGENT)
+            self._waiting = deque(waiting for waiting in self._waiting if waiting[0].kind in URGENT)
             if self._under_way not in URGENT:
                 self._actions.cancel()
-        self._waiting.append(action)
+        self._waiting.append((action, self._actions.mode))
         self._arrived.set()
 
     def clear(self) -> None:
@@ -184,9 +184,9 @@ class ActionQueue:
         try:
             while True:
                 while self._waiting:
-                    action = self._waiting.popleft()
+                    action, asked_in = self._waiting.popleft()
                     self._under_way = action.kind
-                    await self._perform(action)
+                    await self._perform(action, asked_in)
                     self._under_way = None
                 self._arrived.clear()
                 await self._arrived.wait()
@@ -194,8 +194,8 @@ class ActionQueue:
             for task in self._beside:
                 task.cancel()
 
-    async def _perform(self, action: Action) -> None:
-        self._on_result(await self._actions.perform(action))
+    async def _perform(self, action: Action, asked_in: str) -> None:
+        self._on_result(await self._actions.perform(action, asked_in))
 
 
 LINK_TICK_S: Final = 0.05

@@ -62,7 +62,7 @@ _NOTHING_ELSE: Final = frozenset({MissionEvent.REFUSED, MissionEvent.TIPPED_OVER
 class Planner:
     """One mission, from connecting to standing on the pad.
 
-    `withdraws`: what was asked for before this cycle, and waits to be sent, is withdrawn.
+    `withdraws`: what was asked for before this cycle, and waits to be sent or is under way, is withdrawn.
     """
 
     withdraws = False
@@ -160,7 +160,7 @@ class Planner:
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
-        pressed, before = self._steering.presses_down, self.phase
+        pressed, before, self.withdraws = self._steering.presses_down, self.phase, False
         self._standing_height.update(inputs, now_s)
         inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
@@ -169,7 +169,8 @@ class Planner:
         # a disarming asked for on the pad is none for a vehicle that left it; one on its side did not
         left_pad = pressed and not self._steering.presses_down and not self._monitor.lies
         contact = self._steering.contact
-        self.withdraws = left_pad or (self._machine.state in WITHDRAWS and self.phase is not before)
+        if left_pad or (self._machine.state in WITHDRAWS and self.phase is not before):
+            self.withdraws = True
         return PlanStep(
             time_s=now_s,
             phase=self.phase,
@@ -363,6 +364,7 @@ class Planner:
             self._monitor.phase_begins(now_s)
             self._say("motors_on", "landed, motors still on: LAND and disarm requested", now_s, "error")
         if Effect.ASK_NOTHING in branch.effects:
+            self.withdraws = True
             self._requests.forget()
             self._generator.stop()
             self._say("pilot", reason, now_s, "warning")

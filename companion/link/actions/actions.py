@@ -30,7 +30,8 @@ _RISEN_SHARE: Final = 0.7  # autopilots brake early
 _FORCE: Final = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the checks say
 
 
-Handler = Callable[[Action], Coroutine[Any, Any, None]]
+# of an action, and the mode in which it was asked for
+Handler = Callable[[Action, str], Coroutine[Any, Any, None]]
 
 
 class PymavlinkActions:
@@ -75,9 +76,18 @@ class PymavlinkActions:
     async def close(self) -> None:
         """Give everything back; here nothing."""
 
-    async def perform(self, action: Action) -> ActionResult:
-        """Do one thing; wait for the answer, not for the vehicle to be there. A refusal is a result."""
-        work = asyncio.create_task(self._result(self._handlers[action.kind], action))
+    @property
+    def mode(self) -> str:
+        """The autopilot's, as it was last heard."""
+        return self._session.state.mode
+
+    async def perform(self, action: Action, asked_in: str | None = None) -> ActionResult:
+        """Do one thing; wait for the answer, not for the vehicle to be there. A refusal is a result.
+
+        `asked_in`: the mode in which it was asked for, if that was not just now: a change since then counts.
+        """
+        since = self.mode if asked_in is None else asked_in
+        work = asyncio.create_task(self._result(self._handlers[action.kind], action, since))
         self._under_way.append(work)
         try:
             await asyncio.wait((work,))
@@ -98,12 +108,12 @@ class PymavlinkActions:
         for work in self._under_way:
             work.cancel()
 
-    async def _result(self, handler: Handler, action: Action) -> ActionResult:
+    async def _result(self, handler: Handler, action: Action, asked_in: str) -> ActionResult:
         """How a handler ends; a refusal carries the autopilot's text of that time."""
         session, clock = self._session, self._clock
         heard_before = session.texts_heard
         try:
-            await handler(action)
+            await handler(action, asked_in)
         except Refused as refusal:
             await clock.sleep_until(clock.now_s() + _WORDS_S)
             count = session.texts_heard - heard_before
@@ -114,7 +124,7 @@ class PymavlinkActions:
 
     # ------------------------------------------------------------ the actions
 
-    async def _arm(self, action: Action) -> None:
+    async def _arm(self, action: Action, asked_in: str) -> None:
         """Arm it, but not a vehicle that shows to be armed before it has answered.
 
         A pilot may have armed it, and then it accepts an ARM all the same. Its answer leaves before the
@@ -127,7 +137,7 @@ class PymavlinkActions:
         await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0), void=self.unless_armed)
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
 
-    async def _take_off(self, action: Action) -> None:
+    async def _take_off(self, action: Action, asked_in: str) -> None:
         profile = self.dialogue.profile()
         if profile.takes_off_under_control:
             await self.dialogue.set_mode(profile.control_mode)
@@ -135,7 +145,7 @@ class PymavlinkActions:
         unused = (profile.unused_parameter,) * 6
         await self.dialogue.command(mavlink.MAV_CMD_NAV_TAKEOFF, (*unused, ground_m + action.height_m))
 
-    async def _go_to(self, action: Action) -> None:
+    async def _go_to(self, action: Action, asked_in: str) -> None:
         latitude_deg, longitude_deg, altitude_m = self.destination(action)
         unused = self.dialogue.profile().unused_parameter
         heading_rad = unused if action.heading_rad is None else action.heading_rad
@@ -146,7 +156,7 @@ class PymavlinkActions:
             (latitude_deg, longitude_deg, altitude_m),
         )
 
-    async def take_control(self, action: Action) -> None:
+    async def take_control(self, action: Action, asked_in: str) -> None:
         """OFFBOARD or GUIDED, not asked for again once another mode was chosen meanwhile.
 
         PX4 refuses unless setpoints have been coming already. Its parameters are read anew meanwhile: an
@@ -155,11 +165,11 @@ class PymavlinkActions:
         self._session.renew_setup()
         await self.require_setup()
         profile = self.dialogue.profile()
-        mode, void = profile.control_mode, self.unless_taken(profile.after_take_off)
+        mode, void = profile.control_mode, self.unless_taken(asked_in, profile.after_take_off)
         await self.dialogue.set_mode(mode, void)
         await self.dialogue.confirm(lambda: self._session.state.offboard, mode, void)
 
-    async def leave_offboard(self, action: Action) -> None:
+    async def leave_offboard(self, action: Action, asked_in: str) -> None:
         """Hold instead of OFFBOARD while disarmed; not sent once anybody chose another mode or has armed."""
         hold_mode = self.dialogue.profile().hold_mode
 
@@ -176,13 +186,13 @@ class PymavlinkActions:
                 raise
         await self.dialogue.confirm(lambda: not self._session.state.offboard, hold_mode, void)
 
-    async def hold(self, action: Action, void: Callable[[], str] | None = None) -> None:
-        """Stop and stay, by the autopilot's own mode; not sent again once another has been chosen.
+    async def hold(self, action: Action, asked_in: str) -> None:
+        """Stop and stay, by the autopilot's own mode; not sent (again) once another has been chosen.
 
         With a `height_m` the autopilot first rises to there by itself, where it can.
         """
         mode = self.dialogue.profile().hold_mode
-        void = void or self.unless_taken(mode)
+        void = self.unless_taken(asked_in, mode)
         if action.height_m != 0.0:
             await self._rise(action.height_m, void)
         await self.dialogue.set_mode(mode, void)
@@ -205,22 +215,22 @@ class PymavlinkActions:
             await self.dialogue.command(mavlink.MAV_CMD_DO_REPOSITION, parameters, position, void)
             await self.dialogue.confirm(risen, "higher", void)
 
-    async def land(self, action: Action, void: Callable[[], str] | None = None) -> None:
+    async def land(self, action: Action, asked_in: str) -> None:
         """Come down where it is, by the autopilot's own mode; as `hold`."""
         mode = self.dialogue.profile().land_mode
-        await self.dialogue.set_mode(mode, void or self.unless_taken(mode))
+        await self.dialogue.set_mode(mode, self.unless_taken(asked_in, mode))
 
     def unless_armed(self) -> str:
         """Says that it is armed."""
         return "armed before it has answered" if self._session.state.armed else ""
 
     def unless_taken(self, *ours: str) -> Callable[[], str]:
-        """What says that since now somebody else, a pilot or a failsafe, has changed to none of our modes.
+        """What says that somebody else, a pilot or a failsafe, has changed to none of our modes.
 
         The mode that obeys setpoints is among them: it may have been asked for just before.
         """
         control_modes = (profile.control_mode for profile in PROFILES.values())
-        expected = {self._session.state.mode, *control_modes, *ours}
+        expected = {*control_modes, *ours}
 
         def void() -> str:
             now = self._session.state.mode
@@ -228,21 +238,13 @@ class PymavlinkActions:
 
         return void
 
-    async def disarm(self, action: Action) -> None:
+    async def disarm(self, action: Action, asked_in: str) -> None:
         """Plainly first; by force where that is refused, the action asks for it and the settings allow it.
 
-        It is for where the vehicle stands now. When the autopilot falls silent or changes its mode by itself,
-        a failsafe may have taken it up: then nothing more is sent.
+        It is for where the vehicle stood when it was asked for. When the autopilot falls silent or changes
+        its mode by itself, a failsafe may have taken it up: then nothing more is sent.
         """
-        before = self._session.state.mode
-
-        def void() -> str:
-            state = self._session.state
-            if state.armed and state.mode != before:
-                return f"the autopilot has changed to {state.mode}"
-            silent_s = self.dialogue.now_s() - state.attitude_time_s
-            return f"no attitude received for {silent_s:.1f} s" if _SILENT_S < silent_s < math.inf else ""
-
+        void = self.unless_taken_up(asked_in)
         try:
             await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0), void=void)
         except Unanswered:
@@ -253,7 +255,20 @@ class PymavlinkActions:
             await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, _FORCE), void=void)
         await self.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
 
-    async def request_pad_position(self, action: Action) -> None:
+    def unless_taken_up(self, asked_in: str) -> Callable[[], str]:
+        """What says that somebody may have taken the vehicle up: LAND, asked for just before, does not."""
+        modes = {asked_in, self.dialogue.profile().land_mode}
+
+        def void() -> str:
+            state = self._session.state
+            if state.armed and state.mode not in modes:
+                return f"the autopilot has changed to {state.mode}"
+            silent_s = self.dialogue.now_s() - state.attitude_time_s
+            return f"no attitude received for {silent_s:.1f} s" if _SILENT_S < silent_s < math.inf else ""
+
+        return void
+
+    async def request_pad_position(self, action: Action, asked_in: str) -> None:
         """Ask the ground station for a FOLLOW_TARGET, which follows its acceptance."""
         command = request_message(
             mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET, self._config.ground_system_id, target_component=0

@@ -37,6 +37,16 @@ def _wanted_still() -> str:
     return ""
 
 
+def wanted(void: Callable[[], str]) -> None:
+    """See to it that something is wanted still.
+
+    Raises:
+        Refused: `void` says why it is not.
+    """
+    if why := void():
+        raise Refused(why)
+
+
 class Dialogue:
     """Questions to the other end of the link. `void` functions say why an answer is not wanted any more."""
 
@@ -120,8 +130,7 @@ class Dialogue:
         if not holds():
             self.ask_for_heartbeat()
         while not holds():
-            if why := void():
-                raise Refused(why)
+            wanted(void)
             if self._clock.now_s() >= until_s:
                 raise Refused(f"accepted, but not {what}")
             await self._clock.sleep_until(self._clock.now_s() + _POLL_S)
@@ -155,8 +164,7 @@ class Dialogue:
         self._waited_for.append(pending)
         try:
             while pending.outcome is None:
-                if why := void():
-                    raise Refused(why)
+                wanted(void)
                 now_s = self._clock.now_s()
                 self._send(self._session.tick(now_s))
                 if pending.outcome is None:

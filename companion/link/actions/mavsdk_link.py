@@ -23,12 +23,11 @@ from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.exceptions import MavsdkError
 
-from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock
 from companion.base.messages import Action
 from companion.config import ConfigError, LinkConfig
 from companion.link.actions.actions import PymavlinkActions
-from companion.link.actions.dialogue import Refused
+from companion.link.actions.dialogue import Refused, wanted
 from companion.link.codec import has_command, holds_only, mavlink
 from companion.link.session import Session
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES
@@ -121,64 +120,61 @@ class MavsdkActions(PymavlinkActions):
 
     # ------------------------------------------------------------ the actions
 
-    async def _arm(self, action: Action) -> None:
+    async def _arm(self, action: Action, asked_in: str) -> None:
         await self._connect()
         await self.require_setup()
         profile = self.dialogue.profile()
         if profile.takes_off_under_control:
             await self.dialogue.set_mode(profile.control_mode)
-        if armed := self.unless_armed():
-            raise Refused(armed)
+        wanted(self.unless_armed)
         await self._try(self._action.arm())
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
 
-    async def _take_off(self, action: Action) -> None:
+    async def _take_off(self, action: Action, asked_in: str) -> None:
         await self._connect()
         await self._try(self._action.set_takeoff_altitude(action.height_m))
         await self._try(self._action.takeoff())
 
-    async def _go_to(self, action: Action) -> None:
+    async def _go_to(self, action: Action, asked_in: str) -> None:
         await self._connect()
         latitude_deg, longitude_deg, altitude_m = self.destination(action)
         heading_deg = math.nan if action.heading_rad is None else math.degrees(action.heading_rad)
         await self._try(self._action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg))
 
-    async def hold(self, action: Action, void: Callable[[], str] | None = None) -> None:
+    async def hold(self, action: Action, asked_in: str) -> None:
         """By MAVSDK; should it fail, by ours: stopping must not hang on one library. To rise is ours.
 
-        Not where another mode was chosen meanwhile, by a pilot or a failsafe.
+        Not where another mode was chosen meanwhile, by a pilot or a failsafe: of that ours refuses.
         """
-        void = void or self.unless_taken(*(profile.hold_mode for profile in PROFILES.values()))
         if action.height_m != 0.0:
-            return await super().hold(action, void)
+            return await super().hold(action, asked_in)
         try:
             await self._connect()
+            wanted(self.unless_taken(asked_in, self.dialogue.profile().hold_mode))
             await self._try(self._action.hold())
             self.dialogue.ask_for_heartbeat()
         except Refused:
-            await super().hold(action, void)
+            await super().hold(action, asked_in)
 
-    async def land(self, action: Action, void: Callable[[], str] | None = None) -> None:
+    async def land(self, action: Action, asked_in: str) -> None:
         """As `hold`."""
-        void = void or self.unless_taken(*(profile.land_mode for profile in PROFILES.values()))
         try:
             await self._connect()
+            wanted(self.unless_taken(asked_in, self.dialogue.profile().land_mode))
             await self._try(self._action.land())
             self.dialogue.ask_for_heartbeat()
         except Refused:
-            await super().land(action, void)
+            await super().land(action, asked_in)
 
-    async def disarm(self, action: Action) -> None:
+    async def disarm(self, action: Action, asked_in: str) -> None:
         """By MAVSDK, which refuses in the air; then by ours, which may force it where asked and allowed."""
-        before = self._session.state.mode
         try:
             await self._connect()
+            wanted(self.unless_taken_up(asked_in))
             await self._try(self._action.disarm())
             await self.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
         except Refused:
-            if self._session.state.mode != before:
-                raise  # another pilot has the vehicle by now
-            await super().disarm(action)
+            await super().disarm(action, asked_in)
 
     # ------------------------------------------------------------ MAVSDK
 

@@ -175,6 +175,21 @@ def test_a_hold_that_is_still_asked_for_is_dropped_once_somebody_else_flies(mode
     assert w.flight.told("pilot") == [f"mode {mode}: no further requests"]
 
 
+def test_once_somebody_else_flies_what_the_end_asked_for_is_withdrawn_too() -> None:
+    w = world(still())
+    w.autopilot.refuse[ActionKind.TAKE_OFF] = 99
+    w.autopilot.silent = {ActionKind.LAND, ActionKind.DISARM}
+    w.fly(60.0)
+    assert [kind for _, kind in w.autopilot.heard][-2:] == [ActionKind.LAND, ActionKind.DISARM]
+    withdrawn = []
+    for mode in (w.autopilot.mode, "POSCTL", "POSCTL"):
+        w.autopilot.mode = mode
+        w.cycle()
+        withdrawn.append(w.planner.withdraws)
+    assert withdrawn == [False, True, False]
+    assert w.flight.told("pilot") == ["mode POSCTL: no further requests"]
+
+
 @pytest.mark.parametrize("at_s", [1.0, 4.0, 8.0, 12.0, 20.0])
 def test_stopped_it_holds_hands_back_and_ends(at_s: float) -> None:
     w = world()
