@@ -415,6 +415,7 @@ class ActionKind(StrEnum):
     TAKE_OFF = "take_off"
     GO_TO = "go_to"
     TAKE_CONTROL = "take_control"
+    HOLD_IF_OBEYED = "hold_if_obeyed"  # a HOLD, if a TAKE_CONTROL was obeyed
     LEAVE_OFFBOARD = "leave_offboard"
     HOLD = "hold"
     LAND = "land"

@@ -295,7 +295,13 @@ class Planner:
             feet_down=self._steering.touchdown.feet_down(now_s),
             standing=not self._not_standing(inputs, now_s),
             near=self._near(),
+            may_obey=self._may_obey(inputs.autopilot),
         )
+
+    def _may_obey(self, autopilot: AutopilotState) -> bool:
+        """Whether the autopilot may have obeyed a request for control, whatever it has answered."""
+        control, requests = ActionKind.TAKE_CONTROL, self._requests
+        return requests.asked(control) and (control in requests.asked_last or autopilot.offboard)
 
     def _not_standing(self, inputs: PlanInputs, now_s: float) -> str:
         """Why a vehicle that was landing does not stand upright on the pad; "" when it does."""
@@ -368,8 +374,11 @@ class Planner:
             self._requests.forget()
             self._generator.stop()
             self._say("pilot", reason, now_s, "warning")
-        if ActionKind.LEAVE_OFFBOARD in {action.kind for action in branch.actions}:
+        kinds = {action.kind for action in branch.actions}
+        if ActionKind.LEAVE_OFFBOARD in kinds:
             self._say("leave_offboard", "mode changed to Hold: PX4 does not arm in OFFBOARD", now_s)
+        if ActionKind.HOLD_IF_OBEYED in kinds:
+            self._say("hold_if_obeyed", "if the vehicle obeys setpoints: hold requested", now_s, "warning")
         if Effect.SEARCH_FROM_HERE in branch.effects:
             self._steering.search_from_here(inputs, now_s)
         if Effect.NO_NEW_TRY in branch.effects:

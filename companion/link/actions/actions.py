@@ -16,7 +16,7 @@ from companion.base.clock import Clock
 from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
-from companion.link.actions.dialogue import Dialogue, Refused, Unanswered
+from companion.link.actions.dialogue import Dialogue, Refused, Unanswered, wanted
 from companion.link.autopilot_setup import loss_refusal
 from companion.link.codec import mavlink
 from companion.link.commands import GUIDED_OPTIONS, THRUST_IS_THRUST, WITHDRAWN, request_message
@@ -60,6 +60,7 @@ class PymavlinkActions:
             ActionKind.TAKE_OFF: self._take_off,
             ActionKind.GO_TO: self._go_to,
             ActionKind.TAKE_CONTROL: self.take_control,
+            ActionKind.HOLD_IF_OBEYED: self.hold_if_obeyed,
             ActionKind.LEAVE_OFFBOARD: self.leave_offboard,
             ActionKind.HOLD: self.hold,
             ActionKind.LAND: self.land,
@@ -169,6 +170,19 @@ class PymavlinkActions:
         await self.dialogue.set_mode(mode, void)
         await self.dialogue.confirm(lambda: self._session.state.offboard, mode, void)
 
+    async def hold_if_obeyed(self, action: Action, asked_in: str) -> None:
+        """Hold, out of the mode that obeys setpoints alone, which may have been asked for just before.
+
+        A heartbeat may show that mode only now. In any other there is nothing to return.
+        """
+        control_mode = self.dialogue.profile().control_mode
+        with suppress(Refused):
+            untaken = self.unless_taken(asked_in)
+            await self.dialogue.confirm(lambda: self._session.state.offboard, control_mode, untaken)
+        wanted(self._silence)  # what has fallen silent shows nothing
+        if self._session.state.offboard:
+            await self.hold(action, control_mode)
+
     async def leave_offboard(self, action: Action, asked_in: str) -> None:
         """Hold instead of OFFBOARD while disarmed; not sent once anybody chose another mode or has armed."""
         hold_mode = self.dialogue.profile().hold_mode
@@ -263,10 +277,14 @@ class PymavlinkActions:
             state = self._session.state
             if state.armed and state.mode not in modes:
                 return f"the autopilot has changed to {state.mode}"
-            silent_s = self.dialogue.now_s() - state.attitude_time_s
-            return f"no attitude received for {silent_s:.1f} s" if _SILENT_S < silent_s < math.inf else ""
+            return self._silence()
 
         return void
+
+    def _silence(self) -> str:
+        """Says that nothing more comes from the autopilot."""
+        silent_s = self.dialogue.now_s() - self._session.state.attitude_time_s
+        return f"no attitude received for {silent_s:.1f} s" if _SILENT_S < silent_s < math.inf else ""
 
     async def request_pad_position(self, action: Action, asked_in: str) -> None:
         """Ask the ground station for a FOLLOW_TARGET, which follows its acceptance."""

@@ -65,7 +65,8 @@ def _asked_for(
 ) -> frozenset[str]:
     """The modes that these requests lead to."""
     hold = short_name(PROFILES[kind].hold_mode)
-    modes = {ActionKind.TAKE_CONTROL: _control(kind), ActionKind.HOLD: hold, ActionKind.LAND: _LAND}
+    holds = dict.fromkeys((ActionKind.HOLD, ActionKind.HOLD_IF_OBEYED, ActionKind.LEAVE_OFFBOARD), hold)
+    modes = {ActionKind.TAKE_CONTROL: _control(kind), ActionKind.LAND: _LAND, **holds}
     found = {modes[action] for action in asked if action in modes}
     # a PX4 that has come down in LAND and disarmed goes to Hold by itself; in the air it is chosen
     if _LAND in found and autopilot.landed is LandedState.ON_GROUND:

@@ -31,6 +31,7 @@ class Requests:
         self._pending: dict[ActionKind, _Pending] = {}
         self._accepted: set[ActionKind] = set()
         self._unanswered: set[ActionKind] = set()
+        self._left: set[ActionKind] = set()
         self._reports: list[Action] = []
         self._news: list[str] = []
 
@@ -57,6 +58,7 @@ class Requests:
         """Drop what is open and what was granted: a new phase asks anew."""
         self._unanswered = {kind for kind, pending in self._pending.items() if pending.sent > 0}
         self._pending.clear()
+        self._left.clear()
         self._accepted.clear()
         self._news.clear()
 
@@ -76,7 +78,7 @@ class Requests:
 
     def asked(self, kind: ActionKind) -> bool:
         """Whether a request of this kind has left since `forget`."""
-        return kind in self._accepted or (kind in self._pending and self._pending[kind].sent > 0)
+        return kind in self._left
 
     def hear(self, results: tuple[ActionResult, ...], now_s: float) -> tuple[str, ...]:
         """Take the answers in; returns why a request is given up, for each that is."""
@@ -100,6 +102,7 @@ class Requests:
     def due(self, now_s: float) -> tuple[Action, ...]:
         """The actions to send now."""
         ready = [p for p in self._pending.values() if p.due_s <= now_s]
+        self._left |= {p.action.kind for p in ready}
         for p in ready:
             self._pending[p.action.kind] = replace(
                 p, due_s=float("inf"), sent=p.sent + 1, answer_by_s=now_s + self._answer_s

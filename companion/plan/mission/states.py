@@ -79,6 +79,7 @@ class Circumstances:
     feet_down: bool = False
     standing: bool = True
     near: bool = False
+    may_obey: bool = False
 
 
 class Guard(Enum):
@@ -88,6 +89,10 @@ class Guard(Enum):
     NOT_TAKEN = (
         "it flew by its pilot when ordered, and control was never ours",
         lambda c: c.authority is Authority.PILOT,
+    )
+    MAY_OBEY = (
+        "it flew by its pilot when ordered, and may obey setpoints by now",
+        lambda c: c.authority is Authority.PILOT and c.may_obey,
     )
     CONTROL_NONE = "control not granted yet", lambda c: c.authority is Authority.NONE
     CONTROL_OURS = "control is ours", lambda c: c.authority is Authority.OURS

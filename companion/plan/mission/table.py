@@ -12,7 +12,7 @@ Its rules:
   COMMITTED states heed, of what may come anywhere, only TAKEN_OVER, DISARMED, their own time and a low
   battery (no new try), and SINK a lost or disputed estimate and a controller without a plan;
   a vehicle that a pilot flew when the landing was ordered, and that the app never controlled, stays in the
-  pilot's mode;
+  pilot's mode; once control was asked for, it is put into a hold if it obeys setpoints, whatever it answered;
   a PX4 that is disarmed in the app's OFFBOARD is put into Hold, so that it can be armed again.
 No clock, no I/O: the failsafe monitor and the phases detect events, and this table decides what follows.
 """
@@ -59,6 +59,7 @@ _SEVERITY: Final = {event: place for place, event in enumerate((E.CONTROL_GRANTE
 
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
 _TAKE_CONTROL, _HOLD = Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD)
+_HOLD_IF_OBEYED = Action(ActionKind.HOLD_IF_OBEYED)
 _LAND, _DISARM = Action(ActionKind.LAND), Action(ActionKind.DISARM)
 # In the air it would drop the vehicle: only once the vehicle is shown to stand, or to lie on its side.
 _FORCE_DISARM = Action(ActionKind.DISARM, force=True)
@@ -91,10 +92,11 @@ _LEAVE_OFFBOARD: Final = replace(
     _CONTROL_LOST, actions=(Action(ActionKind.LEAVE_OFFBOARD),), guard=Guard.LEFT_IN_OFFBOARD
 )
 # Control returns to the autopilot. A vehicle that stands would lift off to hold a position: it lands.
-_NEVER_OURS: Final = _end(guard=Guard.NOT_TAKEN)
+# Once control was asked for, it counts what may have been obeyed, not what was answered.
+_NEVER_OURS: Final = (_end(_HOLD_IF_OBEYED, guard=Guard.MAY_OBEY), _end(guard=Guard.NOT_TAKEN))
 # Near the ground or the pad it would hold there until it has drifted onto it: the autopilot rises first.
 _RISE: Final = replace(_end(replace(_HOLD, height_m=2.0), guard=Guard.NEAR), effects=(Effect.STOP_SETPOINTS,))
-_RETURN_CONTROL: Final = (_NEVER_OURS, _end(_LAND, guard=Guard.ON_SURFACE), _RISE, _end(_HOLD))
+_RETURN_CONTROL: Final = (*_NEVER_OURS, _end(_LAND, guard=Guard.ON_SURFACE), _RISE, _end(_HOLD))
 _SEARCH_AGAIN: Final = Branch(S.SEARCH, effects=(Effect.ASK_PAD_POSITION,))
 _NEXT_TRY: Final = (
     Branch(S.APPROACH, effects=(Effect.COUNT_TRY,), guard=Guard.TRIES_LEFT),
@@ -107,7 +109,7 @@ _SET_DOWN: Final = Branch(S.SET_DOWN, (_LAND,), effects=(Effect.COUNT_AFRESH,))
 # However late it is asked for: LAND takes its time to be answered, and to come down.
 _AUTO_LAND: Final = Branch(S.AUTO_LAND, (_LAND,), effects=(Effect.COUNT_AFRESH,))
 IMPOSSIBLE: Final = (
-    _NEVER_OURS,
+    *_NEVER_OURS,
     Branch(S.HOLD, (_LAND,), Authority.RELEASED, guard=Guard.ON_SURFACE),
     Branch(S.HOLD, (_HOLD,), Authority.RELEASED),
 )
@@ -273,7 +275,7 @@ ROWS: Final = (
     *_rows(
         E.TIPPED_OVER,
         IN_AIR,
-        _NEVER_OURS,
+        *_NEVER_OURS,
         Branch(None, (_FORCE_DISARM,)),
         except_=_EARLY,
     ),
@@ -292,7 +294,7 @@ ROWS: Final = (
     *_rows(
         E.LINK_LOST,
         IN_AIR,
-        _NEVER_OURS,
+        *_NEVER_OURS,
         Branch(S.AWAIT_LINK),
         except_={**_EARLY, **_all(HOLDING, "it holds already"), **_GO_ON},
     ),

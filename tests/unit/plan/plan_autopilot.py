@@ -35,6 +35,8 @@ class PlanAutopilot:
         self.heard.append((now_s, kind))
         if kind in self.silent or kind is ActionKind.REQUEST_PAD_POSITION:
             return None
+        if kind is ActionKind.HOLD_IF_OBEYED and self.mode not in {"OFFBOARD", "GUIDED"}:
+            return None  # the link waits for a heartbeat that shows it
         if self.refuse.get(kind, 0) > 0:
             self.refuse[kind] -= 1
             return ActionResult(now_s, kind, False, "Denied: not now")
@@ -62,7 +64,7 @@ class PlanAutopilot:
             self.mode = self._own_mode("OFFBOARD")
         elif kind is ActionKind.LEAVE_OFFBOARD:
             self.mode = "LOITER"
-        elif kind is ActionKind.HOLD:
+        elif kind in {ActionKind.HOLD, ActionKind.HOLD_IF_OBEYED}:
             self.mode, self.target_ned_m = "LOITER", position
         elif kind is ActionKind.LAND:
             self.mode, self.target_ned_m = "LAND", (position[0], position[1], 5.0)

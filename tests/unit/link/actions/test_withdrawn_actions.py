@@ -23,7 +23,8 @@ def test_cancelling_ends_any_action_at_once_and_nothing_of_it_is_repeated(kind: 
         mavlink.MAV_CMD_NAV_TAKEOFF,
         mavlink.MAV_CMD_DO_REPOSITION,
     )
-    mode = "OFFBOARD" if kind is ActionKind.LEAVE_OFFBOARD else "AUTO.LOITER"
+    leaves = kind in {ActionKind.LEAVE_OFFBOARD, ActionKind.HOLD_IF_OBEYED}
+    mode = "OFFBOARD" if leaves else "AUTO.LOITER"
     autopilot = FakeAutopilot(mode=mode, deaf_to=dict.fromkeys(numbers, 99))
     [result] = cancel_after(autopilot, 0.1, Action(kind, height_m=5.0, force=True))
     assert (result.kind, result.accepted, result.text) == (kind, False, "withdrawn")
@@ -89,6 +90,35 @@ def test_a_mode_that_was_chosen_meanwhile_is_not_asked_away(
     assert (result.accepted, result.text) == (False, f"the mode was changed to {chosen}")
     assert autopilot.mode == chosen
     assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "comes_to", "mode", "accepted"),
+    [
+        ("px4", "OFFBOARD", "AUTO.LOITER", True),
+        ("ardupilot", "GUIDED", "BRAKE", True),
+        ("px4", "POSCTL", "POSCTL", True),  # its pilot's still
+        ("ardupilot", "ALT_HOLD", "ALT_HOLD", True),  # chosen just now
+        ("px4", "", "POSCTL", False),  # nobody tells
+    ],
+)
+def test_control_is_returned_out_of_our_mode_alone_even_if_that_is_shown_only_now(
+    kind: AutopilotKind, comes_to: str, mode: str, accepted: bool
+) -> None:
+    autopilot = FakeAutopilot(autopilot_kind=kind, mode="POSCTL" if kind == "px4" else "STABILIZE")
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        returning = asyncio.ensure_future(actions.perform(Action(ActionKind.HOLD_IF_OBEYED)))
+        await asyncio.sleep(0.5)
+        if comes_to:
+            autopilot.mode = comes_to
+        else:
+            session.receive = lambda data, now_s: None  # type: ignore[method-assign]
+        return [await returning]
+
+    [result] = fly(autopilot, story)
+    assert (result.accepted, autopilot.mode) == (accepted, mode)
+    assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == (comes_to in {"OFFBOARD", "GUIDED"})
 
 
 @pytest.mark.parametrize(

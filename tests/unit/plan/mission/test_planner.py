@@ -417,6 +417,48 @@ def test_granted_but_never_obeyed_it_gives_up_and_the_pilot_has_it() -> None:
     assert "POSCTL" in w.flight.told("phase")[-1]
 
 
+def stopped(w: PlanWorld) -> None:
+    w.stop = True
+
+
+def exhausted(w: PlanWorld) -> None:
+    w.autopilot.battery_share = 0.05
+
+
+@pytest.mark.parametrize("end", [stopped, exhausted])
+@pytest.mark.parametrize(
+    ("kind", "found", "control"), [("ardupilot", "LOITER", "GUIDED"), ("px4", "POSCTL", "OFFBOARD")]
+)
+def test_control_that_is_obeyed_but_not_answered_yet_as_the_mission_ends_is_returned(
+    kind: str, found: str, control: str, end: Callable[[PlanWorld], None]
+) -> None:
+    w = flown_by_a_pilot()
+    w.autopilot.autopilot_kind, w.autopilot.mode = kind, found
+    w.autopilot.silent = {ActionKind.TAKE_CONTROL}
+    w.fly(1.0)
+    assert order(w) is None
+    w.fly(10.0, until=lambda w: ActionKind.TAKE_CONTROL in asked(w))
+    end(w)
+    w.cycle()
+    assert (w.flight.phase, w.planner.withdraws) == (Phase.ABORT, True)
+    w.autopilot.mode = control  # the next heartbeat shows it
+    w.fly(10.0, until=lambda w: not w.planner.waiting)
+    assert set(asked(w)) == {ActionKind.TAKE_CONTROL, ActionKind.HOLD_IF_OBEYED}
+    assert w.autopilot.mode == "LOITER"
+    assert w.flight.told("hold_if_obeyed") != []
+
+
+def test_control_whose_answers_are_all_lost_is_returned() -> None:
+    w = flown_by_a_pilot()
+    w.autopilot.silent = {ActionKind.TAKE_CONTROL}
+    assert order(w) is None
+    w.fly(10.0, until=lambda w: ActionKind.TAKE_CONTROL in asked(w))
+    w.autopilot.mode = "OFFBOARD"
+    w.fly(60.0)
+    w.fly(1.0, until=lambda w: not w.planner.waiting)
+    assert (w.flight.phase, w.autopilot.mode) == (Phase.ABORT, "LOITER")
+
+
 def test_a_link_that_is_lost_before_control_is_ours_ends_the_order() -> None:
     w = flown_by_a_pilot()
     w.autopilot.silent = {ActionKind.TAKE_CONTROL}

@@ -157,6 +157,18 @@ def test_a_vehicle_that_was_never_ours_stays_in_its_pilot_s_mode(event: MissionE
     assert [action.kind for action in asked] in ([], [ActionKind.TAKE_CONTROL])
 
 
+@pytest.mark.parametrize("event", list(MissionEvent))
+def test_however_it_ends_once_control_may_be_obeyed_it_is_returned_but_not_from_who_took_it(
+    event: MissionEvent,
+) -> None:
+    branch = follows(S.SEARCH, event, Circumstances(Authority.PILOT, may_obey=True))
+    if branch is not None and branch.to is S.ABORT:
+        taken_or_off = event in {E.TAKEN_OVER, E.DISARMED}
+        assert kinds(branch) == ([] if taken_or_off else [ActionKind.HOLD_IF_OBEYED])
+    if branch is not None and impossible(S.SEARCH, event):
+        assert branch.to is S.ABORT
+
+
 @pytest.mark.parametrize(
     "event", [E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED, E.PAD_GONE, E.TIMEOUT]
 )
