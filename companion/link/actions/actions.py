@@ -134,7 +134,7 @@ class PymavlinkActions:
         await self.require_setup()  # on the ground is the better place to hear that control will be refused
         profile = self.dialogue.profile()
         if profile.takes_off_under_control:
-            await self.dialogue.set_mode(profile.control_mode)
+            await self.dialogue.set_mode(profile.control_mode, self.unless_armed)
         await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0), void=self.unless_armed)
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
 

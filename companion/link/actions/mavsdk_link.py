@@ -125,7 +125,7 @@ class MavsdkActions(PymavlinkActions):
         await self.require_setup()
         profile = self.dialogue.profile()
         if profile.takes_off_under_control:
-            await self.dialogue.set_mode(profile.control_mode)
+            await self.dialogue.set_mode(profile.control_mode, self.unless_armed)
         wanted(self.unless_armed)
         await self._try(self._action.arm())
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")

@@ -261,6 +261,12 @@ def test_a_cancelled_action_is_not_repeated() -> None:
     assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
 
 
+def test_an_armed_ardupilot_is_not_put_into_guided_to_be_armed() -> None:
+    autopilot = FakeAutopilot(autopilot_kind="ardupilot", mode="STABILIZE", armed=True)
+    [result] = perform(autopilot, Action(ActionKind.ARM))
+    assert (result.accepted, autopilot.mode) == (False, "STABILIZE")
+
+
 @pytest.mark.parametrize("asked_first", [True, False])
 def test_what_somebody_else_arms_before_our_request_is_answered_is_no_arming_of_ours(
     asked_first: bool,
