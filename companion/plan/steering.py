@@ -116,8 +116,7 @@ class PhaseSteering:
         self._config, self._vehicle = config, vehicle
         self._pad_half_width_m = pad_half_width_m
         self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
-        self._requests, self._say = requests, say
-        self.steps = EstimateSteps()
+        self._requests, self._say, self.steps = requests, say, EstimateSteps()
         self._waypoints = Waypoints(config.mission, generator)
         self.departure = Departure(
             config.mission,
