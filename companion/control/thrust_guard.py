@@ -13,7 +13,7 @@ from companion.control.response.plant import Plant
 # so much faster than planned, and than thrust explains, for so long, is a fall
 FALLS_M_S: Final = 0.5
 FALLS_S: Final = 0.3
-FRESH_S: Final = 0.4  # reports of the thrust come 20 times a second
+FRESH_S: Final = 0.25  # reports of the thrust come 20 times a second, half a round trip (0.3 s) late at most
 
 
 class ThrustGuard:
@@ -49,7 +49,7 @@ class ThrustGuard:
         self._told["the autopilot's parameter"] = setup.hover_thrust
         flies = autopilot.armed and autopilot.landed is LandedState.IN_AIR
         if vehicle is not None:
-            known = flies and now_s - max(autopilot.thrust_time_s, vehicle.sensed_time_s) <= FRESH_S
+            known = flies and now_s - min(autopilot.thrust_time_s, vehicle.sensed_time_s) <= FRESH_S
             self._plant.hold(vehicle, autopilot.thrust if known else None, elapsed_s)
 
     def begin(self) -> None:

@@ -312,6 +312,45 @@ def test_unmeasured_it_is_left_to_the_autopilots_own_loops_and_told(case: str) -
     assert controller.thrust.doubt == report.failure
 
 
+def learnt_in_silence(silence_s: float, thrust: float, acceleration_m_s2: float, *, of_thrust: bool) -> float:
+    """Hover thrust after 2 s at 0.45, and then a silence of the thrust's reports, or of the IMU.
+
+    What came last was this thrust, and this acceleration (down).
+    """
+    controller = ardupilot()
+    silent_s = feel(controller, 0.45, 2.0)
+    for cycle in range(round(silence_s / PERIOD_S)):
+        now_s = silent_s + cycle * PERIOD_S
+        state = replace(held_by(thrust, now_s), thrust_time_s=silent_s if of_thrust else now_s)
+        age_s = 0.0 if of_thrust else now_s - silent_s
+        moves = (0.0, 0.0, acceleration_m_s2)
+        vehicle = vehicle_state(now_s, imu_age_s=age_s, acceleration_ned_m_s2=moves)
+        controller.thrust.feel(vehicle, state, TOLD, now_s)
+    setpoint, report = step(controller, now_s)
+    assert report.failure == ""
+    assert setpoint.thrust is not None
+    return setpoint.thrust
+
+
+@pytest.mark.parametrize(
+    ("thrust", "acceleration_m_s2", "of_thrust"),
+    [
+        (0.70, 0.0, True),  # a climb's, and it hovers by now
+        (0.26, 0.0, True),
+        (0.45, -3.0, False),  # it climbed when its IMU fell silent
+    ],
+)
+def test_nothing_is_learnt_from_a_thrust_or_an_acceleration_of_long_ago(
+    thrust: float, acceleration_m_s2: float, of_thrust: bool
+) -> None:
+    """GIVEN one of the two that goes on, THEN it alone says nothing."""
+    soon, late = (
+        learnt_in_silence(seconds, thrust, acceleration_m_s2, of_thrust=of_thrust) for seconds in (0.5, 20.0)
+    )
+    assert soon == pytest.approx(late, rel=1e-3)
+    assert soon == pytest.approx(0.45, rel=0.2)  # what was fresh for a moment
+
+
 def test_what_contradicts_the_file_and_the_parameter_is_left_too_until_it_is_resolved() -> None:
     controller = ardupilot()
     now_s = feel(controller, 0.98, 6.0)
