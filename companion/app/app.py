@@ -200,6 +200,8 @@ class ActionQueue:
 
 LINK_TICK_S: Final = 0.05
 LAST_HOLD_S: Final = 2.0
+# before the first setpoint leaves, the autopilot's heading is known
+ASKS_FOR_CONTROL: Final = (Phase.ROUTE, Phase.SEARCH)
 # there an error in the settings ends the app
 ON_THE_GROUND: Final = (Phase.STANDBY, Phase.CONNECT, Phase.ARM)
 
@@ -229,6 +231,7 @@ class App:
         self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
         self.estimator, self.sensing, self.sources = stages.estimator, stages.sensing, stages.sources
         self._stamps, self._watch, self._target = stages.stamps, stages.estimate_watch, stages.target
+        self._setup_watch = stages.setup_watch
         if self._target is not None:
             standby = STANDBY_WORDS
         self.sensing.on_ground = self._on_ground
@@ -391,10 +394,11 @@ class App:
                 self._log.write("landing_target", target, now_s)
                 self._latency_ms = 1e3 * (now_s - target.time_s)
             return
+        aims = plan.reference is not None or plan.phase in ASKS_FOR_CONTROL
+        if aims and vehicle is not None and vehicle.imu_age_s <= BLIND_S:
+            self.session.align(vehicle.attitude, vehicle.time_s)
         if plan.reference is None or self.session.setup is None:
             return
-        if vehicle is not None and vehicle.imu_age_s <= BLIND_S:
-            self.session.align(vehicle.attitude, vehicle.time_s)
         obeyed, link = self.session.state.offboard, self.session.health(now_s)
         controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=obeyed, link=link)
         self._control_failure = "" if controlled is None else controlled[1].failure
@@ -409,8 +413,8 @@ class App:
             self._controller = Controller(control, self._vehicle, self._clock.now_s, kind, setup, True)
             if self._controller.thrust.measures:
                 self.session.rates.want(THRUST_RATES_HZ)
-            own = misfits(resolved(control, kind), self._vehicle, setup)
-            by_attitude, ours = resolved(control, kind).setpoint == "attitude", self.session.system_id
+            resolves, ours = resolved(control, kind), self.session.system_id
+            own, by_attitude = misfits(resolves, self._vehicle, setup), resolves.setpoint == "attitude"
             lost = loss_warnings(setup, kind, by_attitude=by_attitude, system_id=ours)
             unflown = PROFILES[kind].unflown(self.session.state.version)
             for warning in (*own, *lost, *([unflown] if unflown else [])):
@@ -433,6 +437,7 @@ class App:
             camera_problem=self.sensing.camera_problem,
             comparisons=self.sources.look(),
             computer=self.loop_monitor.load,
+            setup_problem=self._setup_watch.problem(now_s),
             control_failure=self._control_failure,
             shortage="; ".join(self._short_of.values()),
             thrust_doubt="" if self._controller is None else self._controller.thrust.doubt,

@@ -35,8 +35,10 @@ from companion.config import (
     load_vehicle,
 )
 from companion.control.landing_target import SeenPad, TargetLead, landing_target
+from companion.control.setpoints import resolved
 from companion.estimate.estimator import StateEstimator
 from companion.flightlog.record import FlightLog
+from companion.link.autopilot_setup import setup_refusal
 from companion.link.session import Session
 from companion.link.signing import LinkSigning
 from companion.pad import Pad, load_pad
@@ -107,6 +109,30 @@ class SourceWatch:
         if line is not None and self._session.timesync.settled:
             apart = 100.0 * abs(line.rate)
             yield SourceComparison(line.at_s, Quantity.CLOCK_RATE, "1", f"{1.0 + line.rate:.4f}", apart, 0.0)
+
+
+SETUP_AGAIN_S: Final = 5.0  # longer than until each of its parameters has been answered or given up
+
+
+class SetupWatch:
+    """Ask it in every cycle: what of the autopilot's parameters stands against flying it."""
+
+    def __init__(self, session: Session, config: CompanionConfig) -> None:
+        self._session, self._config = session, config
+        self._again_s = -math.inf
+
+    def problem(self, now_s: float) -> str:
+        """In words; "" where nothing does. Then they are read again and again: somebody may correct them."""
+        session, kind = self._session, self._session.state.autopilot_kind
+        if not session.reads_setup or kind is None:
+            return ""
+        by_attitude = resolved(self._config.control, kind).setpoint == "attitude"
+        may_set = self._config.link.set_parameters
+        why = setup_refusal(session.setup, kind, by_attitude=by_attitude, may_set=may_set)
+        if why and session.setup is not None and session.state.connected and now_s >= self._again_s:
+            self._again_s = now_s + SETUP_AGAIN_S
+            session.renew_setup()
+        return why
 
 
 # ---------------------------------------------------------------- the estimator's inputs
@@ -244,6 +270,7 @@ class Stages:
         # of a mission; given why it stands by, if it does
         self.make_planner = _planner_maker(config, vehicle, pad, standing_height)
         self.sources = SourceWatch(estimator, session, standing_height, config.estimate, vehicle, notify)
+        self.setup_watch = SetupWatch(session, config)
         self.stamps = StampKeeper(
             hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
         )

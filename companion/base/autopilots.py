@@ -56,8 +56,9 @@ class AutopilotMake:
     raises_thrust_by_tilt: bool
     # an attitude setpoint's thrust is a climb rate, unless a parameter says otherwise
     thrust_may_be_climb_rate: bool
-    # it does not get ready to arm in its control mode unless setpoints come
-    needs_setpoints_to_arm: bool
+    # It changes into its control mode, and gets ready to arm there, only while setpoints come. One that may
+    # be found in that mode gets none before control is granted: it would obey them.
+    needs_setpoints: bool
 
     # ------------------------------------------------------------ commands and telemetry
     # a command's parameter that has no value
@@ -152,7 +153,7 @@ PX4: Final = AutopilotMake(
     setpoint="acceleration",
     raises_thrust_by_tilt=False,
     thrust_may_be_climb_rate=False,
-    needs_setpoints_to_arm=True,  # mode_req_offboard_signal of its failsafe_flags
+    needs_setpoints=True,  # mode_req_offboard_signal of its failsafe_flags
     unused_parameter=math.nan,
     takes_off_from_home=False,
     # the mode is a pilot's word, and it refuses another rate of HEARTBEAT (1 Hz)
@@ -206,7 +207,7 @@ ARDUPILOT: Final = AutopilotMake(
     setpoint="attitude",
     raises_thrust_by_tilt=True,
     thrust_may_be_climb_rate=True,  # GUID_OPTIONS
-    needs_setpoints_to_arm=False,
+    needs_setpoints=False,
     unused_parameter=0.0,  # it takes NaN for a number
     takes_off_from_home=True,
     # the mode is a pilot's word, and it has no CURRENT_MODE
@@ -227,6 +228,7 @@ ARDUPILOT: Final = AutopilotMake(
         "PSC_JERK_XY",
         "MOT_THST_HOVER",
         "GUID_TIMEOUT",
+        "GUID_OPTIONS",
         "FENCE_ENABLE",
         "FENCE_TYPE",
         "FENCE_ACTION",

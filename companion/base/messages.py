@@ -627,6 +627,7 @@ class AutopilotSetup:
     `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways. When setpoints stop, it keeps the
     last one for `setpoint_timeout_s`; then `setpoints_lost_action` follows (PX4's COM_OBL_RC_ACT), or
     (ArduPilot) it keeps level and its height, and goes with the wind until `drift_ends`, if anything does it.
+    `guided_options`: ArduPilot's GUID_OPTIONS, which say what an attitude setpoint's thrust is.
     """
 
     tilt_deg: float | None = None
@@ -636,6 +637,7 @@ class AutopilotSetup:
     setpoint_timeout_s: float | None = None
     setpoints_lost_action: int | None = None
     drift_ends: bool | None = None
+    guided_options: int | None = None
 
     @property
     def keeps_setpoint_s(self) -> float:

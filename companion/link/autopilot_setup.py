@@ -6,9 +6,17 @@ from typing import Final
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
 from companion.base.messages import AutopilotSetup
-from companion.link.commands import ParameterRequest, ParameterRequests, all_names, value_of
+from companion.link.commands import (
+    GUIDED_OPTIONS,
+    THRUST_IS_THRUST,
+    ParameterRequest,
+    ParameterRequests,
+    all_names,
+    value_of,
+)
 
 _CENTI: Final = 0.01
+UNREAD: Final = "the autopilot's parameters are not read yet"
 CIRCLE_FENCE: Final = 2  # FENCE_TYPE bit 1, about home
 # How long an autopilot may fly on without setpoints. Shorter, whether it hears us is known too late to
 # tell its failsafe from a pilot. A PX4 that holds then drags the vehicle over a pad that moves on (0.44 to
@@ -98,6 +106,7 @@ def setup_of(kind: AutopilotKind, value: Mapping[str, float | None], system_id: 
             setpoint_timeout_s=value.get("COM_OF_LOSS_T"),
             setpoints_lost_action=None if action is None else round(action),
         )
+    options = value.get(GUIDED_OPTIONS)
     return AutopilotSetup(
         tilt_deg=_scaled(value.get("ANGLE_MAX")),
         hover_thrust=value.get("MOT_THST_HOVER"),
@@ -105,6 +114,7 @@ def setup_of(kind: AutopilotKind, value: Mapping[str, float | None], system_id: 
         jerk_m_s3=value.get("PSC_JERK_XY"),
         setpoint_timeout_s=value.get("GUID_TIMEOUT"),
         drift_ends=_drift_ends({name: number or 0.0 for name, number in value.items()}, system_id),
+        guided_options=None if options is None else round(options),
     )
 
 
@@ -165,6 +175,37 @@ def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
     if why := short_timeout(setup, autopilot_kind) or long_timeout(setup):
         return f"{names[0]} is {timeout_s:g}: {why}; {expected_timeout(setup, autopilot_kind)}"
     return ""
+
+
+def thrust_refusal(options: int | None, *, may_set: bool) -> str:
+    """Why an ArduPilot is not flown by attitude; empty when its GUID_OPTIONS allow it, or may be set.
+
+    An attitude setpoint's thrust is a climb rate to it by default.
+    """
+    if options is None:
+        return f"the autopilot does not report its {GUIDED_OPTIONS}"
+    if may_set or options & THRUST_IS_THRUST:
+        return ""
+    expected = options | THRUST_IS_THRUST
+    return (
+        f"{GUIDED_OPTIONS} is {options}: thrust is read as climb rate; expected {expected}, "
+        "which link.set_parameters lets us set, or control.setpoint velocity"
+    )
+
+
+def setup_refusal(
+    setup: AutopilotSetup | None, autopilot_kind: AutopilotKind, *, by_attitude: bool, may_set: bool
+) -> str:
+    """Why control is not taken with these parameters; empty when it is. None: they are not read yet.
+
+    `by_attitude`: setpoints are attitudes; `may_set`: `link.set_parameters`.
+    """
+    if setup is None:
+        return UNREAD
+    if (lost := loss_refusal(setup, autopilot_kind)) or not by_attitude:
+        return lost
+    climbs = PROFILES[autopilot_kind].thrust_may_be_climb_rate
+    return thrust_refusal(setup.guided_options, may_set=may_set) if climbs else ""
 
 
 def loss_warnings(

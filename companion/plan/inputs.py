@@ -37,7 +37,8 @@ class PlanInputs:
 
     `carried`: the pad's estimate while it goes on without the camera. `comparisons`: what was measured by
     two sources. `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against
-    control by thrust. `shortage`: what the wind has taken all of in this mission, thrust or tilt.
+    control by thrust, `setup_problem` against control at all, of the autopilot's parameters. `shortage`: what
+    the wind has taken all of in this mission, thrust or tilt.
     """
 
     vehicle: VehicleState | None
@@ -55,4 +56,5 @@ class PlanInputs:
     control_failure: str = ""
     shortage: str = ""
     thrust_doubt: str = ""
+    setup_problem: str = ""
     link: LinkHealth = field(default_factory=LinkHealth)

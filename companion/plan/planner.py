@@ -174,7 +174,7 @@ class Planner:
         return PlanStep(
             time_s=now_s,
             phase=self.phase,
-            reference=self._steering.reference(now_s),
+            reference=self._steering.reference(inputs.autopilot, now_s),
             actions=self._requests.due(now_s),
             notices=self._say.drain(),
             speed_m_s=self._generator.speed_m_s,

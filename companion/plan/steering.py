@@ -10,10 +10,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
+from companion.base.autopilots import PROFILES
 from companion.base.geometry import yaw_from_quat
 from companion.base.messages import (
     Action,
     ActionKind,
+    AutopilotState,
     PadState,
     Phase,
     RangeSample,
@@ -54,7 +56,7 @@ from companion.plan.trajectory.waypoints import Waypoints
 _LAST_TRY_SLACK: Final = 1.6  # wider tolerances in the last try: after it control is returned
 _UNCONTRADICTED_S: Final = 2.0  # no echoes may contradict a pad for so long before it is flown to again
 _TELL_S: Final = 5.0  # of a search
-_STREAMING: Final = (MissionEvent.STREAMING, "setpoints are sent")
+_STREAMING: Final = (MissionEvent.STREAMING, "setpoints are ready")
 
 
 def enter_touchdown(
@@ -187,10 +189,15 @@ class PhaseSteering:
         self._generator.avoidance.tell(self._say, now_s)
         return event
 
-    def reference(self, now_s: float) -> Reference | None:
-        """Where the vehicle should be, with the bounds over the pad that the state asks for."""
+    def reference(self, autopilot: AutopilotState, now_s: float) -> Reference | None:
+        """Where the vehicle should be, with the bounds over the pad that the state asks for.
+
+        None: no setpoint is to leave, as before the grant to an autopilot that needs none for it.
+        """
         self._turn(now_s)
-        if not self._generator.active:
+        kind = autopilot.autopilot_kind
+        wanted = self._machine.in_control or (kind is not None and PROFILES[kind].needs_setpoints)
+        if not wanted or not self._generator.active:
             return None
         by_pad, state = self._generator.origin == "pad", self._machine.state
         above = by_pad and state in {State.APPROACH, State.DESCEND}
@@ -312,7 +319,7 @@ class PhaseSteering:
         actual = vehicle_motion(inputs.vehicle)
         self._keep_near(actual, now_s)
         if not self._machine.in_control:
-            # PX4 switches to offboard only while setpoints stream
+            # PX4 changes to OFFBOARD only while setpoints stream; the headings are compared meanwhile
             streamed_s = self._held.held_s("streams", True, now_s)
             return _STREAMING if streamed_s >= self._config.search.stream_s else None
         return self._waypoints.step(actual, home_ned_m, now_s)

@@ -17,7 +17,7 @@ from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
 from companion.link.actions.dialogue import Dialogue, Refused, Unanswered, wanted
-from companion.link.autopilot_setup import loss_refusal
+from companion.link.autopilot_setup import UNREAD, loss_refusal, thrust_refusal
 from companion.link.codec import mavlink
 from companion.link.commands import GUIDED_OPTIONS, THRUST_IS_THRUST, WITHDRAWN, request_message
 from companion.link.session import Session
@@ -317,7 +317,7 @@ class PymavlinkActions:
         while session.reads_setup and (session.setup is None or not session.loss_is_fresh):
             now_s = self.dialogue.now_s()
             if now_s >= by_s:
-                raise Refused("the autopilot's parameters are not read yet")
+                raise Refused(UNREAD)
             await self._clock.sleep_until(now_s + _LOOK_S)
         return session.setup
 
@@ -332,14 +332,11 @@ class PymavlinkActions:
         options = await self.dialogue.parameter(self._session.read_parameter(GUIDED_OPTIONS))
         if options & THRUST_IS_THRUST:
             return
-        wanted = options | THRUST_IS_THRUST
         if self._config.set_parameters:
+            wanted = options | THRUST_IS_THRUST
             options = await self.dialogue.parameter(self._session.set_parameter(GUIDED_OPTIONS, wanted))
-        if not options & THRUST_IS_THRUST:
-            raise Refused(
-                f"{GUIDED_OPTIONS} is {options}: thrust is read as climb rate; expected {wanted}, "
-                "which link.set_parameters lets us set, or control.setpoint velocity"
-            )
+        if why := thrust_refusal(options, may_set=False):
+            raise Refused(why)
 
     # ------------------------------------------------------------ where
 

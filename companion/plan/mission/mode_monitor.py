@@ -56,7 +56,7 @@ def in_land(autopilot: AutopilotState) -> bool:
 def in_offboard(autopilot: AutopilotState) -> bool:
     """Whether it is in a mode in which it does not get ready to arm unless setpoints come."""
     kind = autopilot.autopilot_kind
-    waits = kind is not None and PROFILES[kind].needs_setpoints_to_arm
+    waits = kind is not None and PROFILES[kind].needs_setpoints
     return autopilot.connected and waits and autopilot.offboard
 
 

@@ -98,6 +98,8 @@ def _either_way(
         yield "no home position for the fence"
     if late := late_words(autopilot, mission):
         yield f"link late: {late}"
+    if inputs.setup_problem:
+        yield inputs.setup_problem
     share = autopilot.battery_share
     if share is not None and share <= least_share:
         yield f"battery {battery}: {100.0 * share:.0f} % left, limit {100.0 * least_share:.0f} %"

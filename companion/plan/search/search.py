@@ -48,7 +48,7 @@ def square_spiral(corner: int, spacing_m: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class SearchStep:
-    """What a cycle of searching asks for; `streaming`: setpoints have left for long enough to be obeyed."""
+    """What a cycle of searching asks for; `streaming`: setpoints have been ready for long enough."""
 
     streaming: bool = False
     request_pad: bool = False
@@ -149,7 +149,7 @@ class Search:
         control_s = self._held.held_s("control", in_control, now_s)
         searched_s = self._held.held_s("searches", True, now_s)
         if not in_control:
-            # PX4 switches to offboard only while setpoints stream
+            # PX4 changes to OFFBOARD only while setpoints stream; the headings are compared meanwhile
             return SearchStep(streaming=searched_s >= self._config.stream_s)
         if control_s == 0.0:
             self._generator.take_up(actual, now_s)

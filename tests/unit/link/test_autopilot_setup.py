@@ -1,11 +1,13 @@
 """What the autopilot's parameters say of how it obeys: read once it is heard."""
 
+from dataclasses import replace
+
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
 from companion.base.messages import AutopilotSetup
-from companion.link.autopilot_setup import SetupReader, loss_refusal, loss_warnings
+from companion.link.autopilot_setup import UNREAD, SetupReader, loss_refusal, loss_warnings, setup_refusal
 from companion.link.codec import mavlink
 from companion.link.commands import ParameterRequests
 
@@ -138,6 +140,9 @@ def test_every_parameter_has_a_name_that_mavlink_can_carry() -> None:
 # ---------------------------------------------------------------- the loss of setpoints
 
 
+GUIDED = AutopilotSetup(setpoint_timeout_s=1.0, guided_options=1)
+
+
 def warnings_of(setup: AutopilotSetup, kind: AutopilotKind, *, by_attitude: bool = True) -> list[str]:
     return loss_warnings(setup, kind, by_attitude=by_attitude)
 
@@ -187,6 +192,29 @@ def test_an_ardupilot_that_nothing_stops_drifting_is_warned_of(changed: dict[str
     assert all("FENCE_ENABLE" in text and "FS_GCS_ENABLE" in text for text in found)
     assert bool(found) is not ends
     assert warnings_of(setup, "ardupilot", by_attitude=False) == []  # by velocity it stops
+
+
+@pytest.mark.parametrize(
+    ("setup", "kind", "by_attitude", "may_set", "why"),
+    [
+        (None, "px4", False, False, UNREAD),
+        (None, "ardupilot", True, True, UNREAD),
+        (AutopilotSetup(setpoint_timeout_s=3.0), "ardupilot", True, False, "GUID_TIMEOUT is 3: it keeps"),
+        (AutopilotSetup(setpoint_timeout_s=3.0), "ardupilot", False, True, "GUID_TIMEOUT is 3: it keeps"),
+        (GUIDED, "ardupilot", True, False, "GUID_OPTIONS is 1: thrust is read as climb rate; expected 9, "),
+        (GUIDED, "ardupilot", True, True, ""),  # the app sets it
+        (GUIDED, "ardupilot", False, False, ""),  # no thrust is sent
+        (replace(GUIDED, guided_options=9), "ardupilot", True, False, ""),
+        (replace(GUIDED, guided_options=None), "ardupilot", True, True, "the autopilot does not report its"),
+        (AutopilotSetup(setpoint_timeout_s=1.0, setpoints_lost_action=5), "px4", True, False, ""),
+    ],
+)
+def test_what_refuses_control_is_known_beforehand(
+    setup: AutopilotSetup | None, kind: AutopilotKind, by_attitude: bool, may_set: bool, why: str
+) -> None:
+    found = setup_refusal(setup, kind, by_attitude=by_attitude, may_set=may_set)
+    assert found.startswith(why)
+    assert bool(found) is bool(why)
 
 
 def test_a_failsafe_for_a_pilot_at_the_sticks_is_warned_of() -> None:

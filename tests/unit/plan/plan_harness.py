@@ -116,6 +116,7 @@ class PlanWorld:
         self.order: Order | None = None  # given once
         self.camera_problem: str | None = None
         self.comparisons: tuple[SourceComparison, ...] = ()
+        self.setup_problem = ""
         self.flight = PlanFlight()
         self.rng = np.random.default_rng(0)
         self._drift = np.zeros(3)
@@ -175,6 +176,7 @@ class PlanWorld:
             order=self.order,
             camera_problem=self.camera_problem,
             comparisons=self.comparisons,
+            setup_problem=self.setup_problem,
             link=LinkHealth(max(0.0, self.now_s - self.silent_from_s), keeps_setpoint_s=1.0),
         )
 

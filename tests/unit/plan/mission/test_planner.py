@@ -328,6 +328,7 @@ REFUSALS: dict[str, tuple[Callable[[PlanWorld], None], str]] = {
     ),
     "a twin": (lambda w: setattr(w.autopilot, "twin_until_s", 1e9), "duplicate companion on the link"),
     "no home": (lambda w: setattr(w, "home", lambda _t: None), "no home position"),
+    "parameters": (lambda w: setattr(w, "setup_problem", "GUID_TIMEOUT is 3: too long"), "GUID_TIMEOUT is 3"),
     "no estimate": (lambda w: setattr(w, "vehicle_known", False), "no current vehicle estimate"),
     "battery": (lambda w: setattr(w.autopilot, "battery_share", 0.1), "battery critical: 10 % left"),
     "fence": (lambda w: setattr(w, "position", (500.0, 0.0, -6.0)), "fence: 500 m from home, limit 150 m"),
@@ -406,6 +407,32 @@ def test_refused_control_leaves_the_pilot_s_mode_alone() -> None:
     assert w.flight.phase is Phase.ABORT
     assert set(asked(w)) == {ActionKind.TAKE_CONTROL}
     assert w.autopilot.mode == "POSCTL"
+
+
+@pytest.mark.parametrize(("kind", "streams"), [("px4", True), ("ardupilot", False)])
+def test_only_an_autopilot_that_wants_a_stream_for_it_gets_setpoints_before_the_grant(
+    kind: str, streams: bool
+) -> None:
+    """GIVEN a vehicle that is in GUIDED already, it would obey them."""
+    w = flown_by_a_pilot()
+    if kind == "ardupilot":
+        w.autopilot.autopilot_kind, w.autopilot.mode, w.autopilot.target_ned_m = kind, "GUIDED", w.position
+        w.fly(0.5)
+    w.autopilot.refuse = {ActionKind.TAKE_CONTROL: 99}
+    began, first = w.position, len(w.flight.steps)
+    assert order(w) is None
+    w.fly(30.0)
+    assert w.flight.phase is Phase.ABORT
+    sent = [step for step in w.flight.steps[first:] if step.reference is not None]
+    assert bool(sent) is streams
+    assert math.dist(w.position, began) < 0.05
+    # AND once it is granted, there are
+    w = flown_by_a_pilot()
+    w.autopilot.autopilot_kind = kind
+    w.autopilot.mode = "POSCTL" if kind == "px4" else "LOITER"
+    w.fly(0.5)
+    assert order(w) is None
+    assert w.fly(90.0).phase is Phase.LANDED
 
 
 def test_granted_but_never_obeyed_it_gives_up_and_the_pilot_has_it() -> None:
