@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from companion.base.second_sources import ROWS, SourceRow
+from companion.base.second_sources import OLDEST_S, ROWS, SourceRow
 
 PAGE: Final = Path(__file__).resolve().parent / "reference" / "second-sources.md"
 INTRODUCTION: Final = """\
@@ -20,6 +20,7 @@ Each quantity in this table has two sources, which the app compares. If the diff
 value, the app announces it with both figures and flies on. If it exceeds the bound, the app acts as in the
 last two columns. A difference counts only if it exceeds the value by three of its own standard deviations.
 The refusal of an order, the failsafe in flight, `companion check` and `companion status` all use this table.
+A comparison counts for {oldest:g} s. Longer counts only what is built or set: {built}.
 
 | Quantity | First source | Second source | Notice | Bound | Before control is taken | In flight |
 |---|---|---|---|---|---|---|
@@ -28,7 +29,8 @@ The refusal of an order, the failsafe in flight, `companion check` and `companio
 
 def page_text() -> str:
     """The whole page."""
-    return INTRODUCTION + "".join(map(_line, ROWS))
+    built = ", ".join(row.quantity for row in ROWS if row.built)
+    return INTRODUCTION.format(oldest=OLDEST_S, built=built) + "".join(map(_line, ROWS))
 
 
 def _line(row: SourceRow) -> str:

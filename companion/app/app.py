@@ -435,7 +435,7 @@ class App:
             results=results,
             stop_requested=self._stop_requested,
             camera_problem=self.sensing.camera_problem,
-            comparisons=self.sources.look(),
+            comparisons=self.sources.look(now_s),
             computer=self.loop_monitor.load,
             setup_problem=self._setup_watch.problem(now_s),
             control_failure=self._control_failure,

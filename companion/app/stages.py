@@ -23,7 +23,7 @@ from companion.base.messages import (
     SourceComparison,
     VehicleState,
 )
-from companion.base.second_sources import announced
+from companion.base.second_sources import announced, current
 from companion.config import (
     CameraConfig,
     CompanionConfig,
@@ -71,19 +71,19 @@ class SourceWatch:
         self._announced.clear()
         self._estimator.begin_checks()
 
-    @property
-    def comparisons(self) -> tuple[SourceComparison, ...]:
-        """The newest of each."""
-        return (
+    def comparisons(self, now_s: float) -> tuple[SourceComparison, ...]:
+        """The newest of each that is not old."""
+        found = (
             *self._estimator.comparisons,
             *self._of_the_place(),
             *self._of_the_link(),
             *self._standing_height.comparisons,
         )
+        return current(found, now_s)
 
-    def look(self) -> tuple[SourceComparison, ...]:
+    def look(self, now_s: float) -> tuple[SourceComparison, ...]:
         """The newest of each; announces what was not announced before."""
-        found = self.comparisons
+        found = self.comparisons(now_s)
         for quantity, words in announced(found):
             if quantity not in self._announced:
                 self._announced.add(quantity)

@@ -705,6 +705,7 @@ class AutopilotState:
     `ready_to_arm` is what it says of its checks before arming. An ArduPilot makes them for the mode it is in,
     and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
     nothing of the kind is reported (PX4). `battery_share` is the remaining charge, 0 to 1; None: not known.
+    Both come in SYS_STATUS, the last at `status_time_s`, and are forgotten when no new one comes.
     `intended_mode`: the one that was asked for last, by a pilot or by us, while a failsafe may fly another;
     "" where it is not reported (ArduPilot, PX4 before 1.15).
     `motors_cut`: by the pilot's kill switch, the emergency stop, or the flight's termination.
@@ -739,6 +740,7 @@ class AutopilotState:
     home: Vector3 | None = None
     texts: tuple[str, ...] = ()
     battery_share: float | None = None
+    status_time_s: float = float("-inf")
     motors_cut: bool = False
     refused_frames: int = 0
     mavlink_1: bool = False

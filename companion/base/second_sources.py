@@ -15,6 +15,8 @@ from typing import Final
 from companion.base.messages import Quantity, SourceComparison
 
 SIGMA_THRESHOLD: Final = 3.0
+# reports and fixes come five times a second or more
+OLDEST_S: Final = 2.0
 
 
 class Reaction(StrEnum):
@@ -39,6 +41,7 @@ class SourceState(StrEnum):
 class SourceRow:
     """One quantity: its sources, the difference that is announced and the one that is not flown with.
 
+    `built`: of what is built or set, and not of the moment: a comparison of long ago counts.
     `notice` and `bound` are in `unit`; None: nothing is announced, or refused. `before` says
     what follows beyond the bound before control is taken, `reaction` what in flight, or `in_flight` in words
     where an event of the mission's own table does; `hint`: what to look at.
@@ -48,6 +51,7 @@ class SourceRow:
     first: str
     second: str
     unit: str
+    built: bool = False
     notice: float | None = None
     bound: float | None = None
     before: str = "refused"
@@ -94,6 +98,7 @@ ROWS: Final = (
         first="the vehicle's file",
         second="the autopilot's parameter; by attitude, the thrust that holds it in the air",
         unit="%",
+        built=True,
         before="announced from 15 % on; by attitude, refused if the measured thrust is not known to 10 %, or "
         "is not 0.5 to 1.6 times one of the two",
         in_flight="learnt from the accelerometer; if the vehicle falls 0.5 m/s faster than planned, control "
@@ -134,6 +139,7 @@ ROWS: Final = (
         first="magnetic_field_ned_ut",
         second="the World Magnetic Model at the GPS position",
         unit="deg",
+        built=True,
         # the standard deviation holds what model and setting may err by
         notice=0.0,
         before="announced; if the heading is wrong because of it, the row heading refuses",
@@ -153,6 +159,7 @@ ROWS: Final = (
         first="the pad's file",
         second="the pad's motion against the IMU's, and the echoes",
         unit="%",
+        built=True,
         notice=2.0,
         bound=4.0,
         reaction=Reaction.LEAVE_PAD,
@@ -163,6 +170,7 @@ ROWS: Final = (
         first="camera_yaw_deg",
         second="the pad's apparent motion against the IMU's",
         unit="deg",
+        built=True,
         notice=10.0,
         bound=20.0,
         reaction=Reaction.LEAVE_PAD,
@@ -173,6 +181,7 @@ ROWS: Final = (
         first="stamps with camera_time_offset_s",
         second="the pad's apparent motion while the gyroscope measures a turn",
         unit="ms",
+        built=True,
         notice=20.0,
         bound=90.0,
         reaction=Reaction.LEAVE_PAD,
@@ -220,6 +229,7 @@ ROWS: Final = (
         first="the vehicle's file",
         second="measured where it stands",
         unit="cm",
+        built=True,
         notice=4.0,
         # grass, a place measured by a ruler: 3 cm each; a vehicle that falls from there lands at 1 m/s
         bound=5.0,
@@ -237,6 +247,11 @@ ROWS: Final = (
     ),
 )
 TABLE: Final = {row.quantity: row for row in ROWS}
+
+
+def current(comparisons: Iterable[SourceComparison], now_s: float) -> tuple[SourceComparison, ...]:
+    """Those that still say something: what changes is not known by a comparison of long ago."""
+    return tuple(c for c in comparisons if TABLE[c.quantity].built or now_s - c.time_s <= OLDEST_S)
 
 
 def judged(comparisons: Iterable[SourceComparison]) -> Iterator[tuple[SourceRow, SourceState, str]]:

@@ -250,7 +250,7 @@ def state_report(
         pad_height_m=None if pad is None else pad.height_m,
         sources=tuple(
             SourceReport(quantity=row.quantity, state=state, words=words)
-            for row, state, words in judged(app.sources.comparisons)
+            for row, state, words in judged(app.sources.comparisons(now_s))
         ),
         latency={
             name: LatencyReport(p50_ms=p50, p99_ms=p99) for name, (p50, p99) in meter.latency_ms().items()

@@ -39,6 +39,8 @@ _LANDED: Final[dict[int, LandedState]] = {
 
 # Both are asked for at 5 Hz. An old "on the ground" is no sign of a touchdown, an old altitude no height.
 _OLDEST_S: Final = 1.5
+# SYS_STATUS is asked for at 2 Hz
+_OLDEST_STATUS_S: Final = 3.0
 
 # of EKF_STATUS_REPORT: what ArduCopter's position_ok() asks for before it arms in GUIDED
 _EKF_NEEDED: Final = mavlink.EKF_ATTITUDE | mavlink.EKF_VELOCITY_HORIZ
@@ -56,11 +58,14 @@ def update_state(state: AutopilotState, message: Message, time_s: float) -> Auto
 
 
 def without_old(state: AutopilotState, now_s: float) -> AutopilotState:
-    """The state without where it stood, flew and was a while ago, which says nothing of now."""
+    """The state without where and how it was a while ago, which says nothing of now."""
     if state.landed is not LandedState.UNDEFINED and now_s - state.landed_time_s > _OLDEST_S:
         state = replace(state, time_s=now_s, landed=LandedState.UNDEFINED)
     if state.global_position is not None and now_s - state.global_position_time_s > _OLDEST_S:
         state = replace(state, time_s=now_s, global_position=None)
+    told = state.ready_to_arm or state.battery_share is not None
+    if told and now_s - state.status_time_s > _OLDEST_STATUS_S:
+        state = replace(state, time_s=now_s, ready_to_arm=False, battery_share=None)
     return state
 
 
@@ -158,7 +163,9 @@ def _sys_status(state: AutopilotState, message: Message, time_s: float) -> Autop
         ready = bool(healthy & prearm)
     charge = message.battery_remaining  # percent, -1 unknown
     battery_share = 0.01 * charge if 0 <= charge <= 100 else None
-    state = replace(state, time_s=time_s, ready_to_arm=ready, battery_share=battery_share)
+    state = replace(
+        state, time_s=time_s, ready_to_arm=ready, battery_share=battery_share, status_time_s=time_s
+    )
     if profile is None or not profile.reports_outputs:
         return state
     # an emergency stop, or a safety switch, takes its outputs out of what is enabled (GCS.cpp)

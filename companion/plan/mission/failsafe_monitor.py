@@ -26,6 +26,7 @@ from companion.plan.landing.contact import BUMP_S, FRESH_S, KNOWN_S, accelerates
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.mode_monitor import WITHOUT_STICKS, ModeMonitor, short_name
 from companion.plan.mission.readiness import (
+    OLDEST_S,
     late_words,
     refused_words,
     rival_words,
@@ -35,7 +36,6 @@ from companion.plan.mission.states import Authority, State
 from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, StateMachine, by_severity
 
 _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
-_OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # What lasts longer does not pass: without a plan the stop is complete, and the vehicle drifts with the wind;
 # a vehicle that is thrown over and comes back is not at rest meanwhile.
 _PASSES_S = 1.0
@@ -192,7 +192,7 @@ class FailsafeMonitor:
             yield MissionEvent.COMPUTER_LATE, inputs.computer.problem
         if others := rival_words(autopilot, now_s, _RIVAL_S):
             yield MissionEvent.RIVAL, others
-        known = autopilot.connected and now_s - autopilot.round_trip_time_s <= _OLDEST_ROUND_TRIP_S
+        known = autopilot.connected and now_s - autopilot.round_trip_time_s <= OLDEST_S
         if known and (late := late_words(autopilot, self._config)):
             yield MissionEvent.LINK_LATE, late
 

@@ -4,6 +4,7 @@ Pure. An order is followed or refused in the cycle in which it arrives and never
 it is looking at the vehicle now. The failsafes in flight use the same words.
 """
 
+import math
 from collections.abc import Iterator
 
 from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
@@ -16,6 +17,8 @@ from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.mode_monitor import in_offboard
 
 ORDER_EVENTS = {OrderKind.LAND: MissionEvent.LAND_ORDERED, OrderKind.FLY: MissionEvent.FLY_ORDERED}
+# TIMESYNC goes out at 5 Hz, SYS_STATUS comes at 2 Hz
+OLDEST_S = 3.0
 _TWIN_GONE_S = 5.0  # heartbeats come once a second
 
 
@@ -46,6 +49,21 @@ def late_words(autopilot: AutopilotState, mission: MissionConfig) -> str:
     """That the autopilot's answers take too long to fly by; "" where they do not, or none has come."""
     late_s, most_s = autopilot.round_trip_s, mission.largest_round_trip_s
     return "" if late_s is None or late_s <= most_s else f"round trip {late_s:.2f} s, limit {most_s:g}"
+
+
+def untold(autopilot: AutopilotState, now_s: float) -> Iterator[str]:
+    """What the autopilot has to tell, and has not told lately.
+
+    A battery without a monitor is not known, which its report says.
+    """
+    answered_s = -math.inf if autopilot.round_trip_s is None else autopilot.round_trip_time_s
+    for what, time_s, oldest_s in (
+        ("attitude (ATTITUDE)", autopilot.attitude_time_s, KNOWN_S),
+        ("checks and battery (SYS_STATUS)", autopilot.status_time_s, OLDEST_S),
+        ("time (TIMESYNC)", answered_s, OLDEST_S),
+    ):
+        if now_s - time_s > oldest_s:
+            yield f"the autopilot does not tell its {what}"
 
 
 def velocity_words(vehicle: VehicleState, mission: MissionConfig) -> str:
@@ -92,6 +110,8 @@ def _either_way(
         yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
     elif autopilot.autopilot_kind is None:
         yield "no PX4 or ArduPilot multirotor"
+    else:
+        yield from untold(autopilot, now_s)
     if autopilot.motors_cut:
         yield "kill switch, emergency stop or flight termination"
     if autopilot.home is None:

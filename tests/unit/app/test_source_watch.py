@@ -3,8 +3,8 @@
 from companion.app.stages import SourceWatch
 from companion.base.geometry import Vector3
 from companion.base.magnetic_field import field_ned_ut
-from companion.base.messages import Quantity
-from companion.base.second_sources import refused
+from companion.base.messages import Quantity, SourceComparison
+from companion.base.second_sources import OLDEST_S, ROWS, current, refused
 from companion.config import EstimateConfig, LinkConfig, load_vehicle
 from companion.estimate.estimator import StateEstimator
 from companion.link.codec import Severity
@@ -16,13 +16,18 @@ VEHICLE = load_vehicle("x500", None, "sitl_640x480")
 
 
 class Placed(StateEstimator):
-    """One whose first fix is given."""
+    """One whose first fix and comparisons are given."""
 
     place: Vector3 | None = None
+    found: tuple[SourceComparison, ...] = ()
 
     @property
     def origin(self) -> Vector3 | None:
         return self.place
+
+    @property
+    def comparisons(self) -> tuple[SourceComparison, ...]:
+        return self.found
 
 
 def watch(config: EstimateConfig, told: list[str]) -> tuple[Placed, SourceWatch]:
@@ -38,17 +43,17 @@ def watch(config: EstimateConfig, told: list[str]) -> tuple[Placed, SourceWatch]
 def test_a_field_of_another_place_is_announced_once_a_fix_is_there_and_not_refused() -> None:
     told = list[str]()
     estimator, sources = watch(EstimateConfig(magnetic_field_ned_ut=(20.9, 0.6, 42.9)), told)
-    assert not sources.look()
+    assert not sources.look(0.0)
     estimator.place = CAPE_TOWN
-    (found,) = sources.look()
+    (found,) = sources.look(0.0)
     assert found.quantity is Quantity.DECLINATION
     assert not list(refused([found]))
-    assert sources.look() == (found,)
+    assert sources.look(0.0) == (found,)
     (text,) = told
     assert text.startswith("magnetic declination: magnetic_field_ned_ut 1.6 deg, ")
     assert text.endswith(" apart: remove estimate.magnetic_field_ned_ut: the app then uses the model")
     sources.begin()
-    sources.look()
+    sources.look(0.0)
     assert told == [text, text]
 
 
@@ -57,5 +62,25 @@ def test_the_field_of_the_place_is_compared_and_goes_unsaid() -> None:
     config = EstimateConfig(magnetic_field_ned_ut=field_ned_ut(*CAPE_TOWN, 2026.0))
     estimator, sources = watch(config, told)
     estimator.place = CAPE_TOWN
-    assert [found.quantity for found in sources.look()] == [Quantity.DECLINATION]
+    assert [found.quantity for found in sources.look(0.0)] == [Quantity.DECLINATION]
     assert told == []
+
+
+def test_a_comparison_of_what_changes_counts_for_a_moment_and_one_of_what_is_built_stays() -> None:
+    found = [SourceComparison(10.0, row.quantity, "1", "2", 1.0, 0.0) for row in ROWS]
+    assert current(found, 10.0 + OLDEST_S) == tuple(found)
+    left = {comparison.quantity for comparison in current(found, 10.1 + OLDEST_S)}
+    moment = {Quantity.ATTITUDE, Quantity.HEADING, Quantity.VELOCITY, Quantity.IMU_DELAY, Quantity.LINK_DELAY}
+    assert not left & moment
+    built = {Quantity.LEG_HEIGHT, Quantity.PAD_SCALE, Quantity.CAMERA_ROTATION, Quantity.DECLINATION}
+    assert left >= built
+
+
+def test_the_autopilots_attitude_is_not_compared_any_more_once_it_is_silent() -> None:
+    told = list[str]()
+    estimator, sources = watch(EstimateConfig(), told)
+    old = SourceComparison(3.0, Quantity.HEADING, "10 deg", "90 deg", 80.0, 1.0)
+    estimator.found = (old,)
+    assert sources.look(3.1) == (old,)
+    assert sources.comparisons(3.1) == (old,)
+    assert sources.look(600.0) == sources.comparisons(600.0) == ()

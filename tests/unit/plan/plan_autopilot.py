@@ -26,7 +26,8 @@ class PlanAutopilot:
     ekf_ready_from_s: float = 0.0
     doubts: bool = False  # never finds that it has landed
     battery_share: float | None = None
-    round_trip_s: float | None = None
+    round_trip_s: float | None = 0.02
+    untold: frozenset[str] = frozenset()  # fields of the state that have never come
     twin_until_s: float = -math.inf
     rival: tuple[int, int] | None = None
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -209,7 +209,7 @@ class PlanWorld:
 
     def _autopilot(self) -> AutopilotState:
         a = self.autopilot
-        return AutopilotState(
+        heard = AutopilotState(
             time_s=self.now_s,
             connected=a.connected,
             autopilot_kind="px4" if a.autopilot_kind == "px4" else "ardupilot",
@@ -224,12 +224,14 @@ class PlanWorld:
             global_position=geodetic_from_ned(self.position, HOME),
             home=self.home(self.now_s),
             battery_share=a.battery_share,
+            status_time_s=self.now_s,
             round_trip_s=a.round_trip_s,
             round_trip_time_s=self.now_s,
             twin_time_s=min(self.now_s, a.twin_until_s),
             rival=a.rival,
             rival_time_s=-math.inf if a.rival is None else self.now_s,
         )
+        return replace(heard, **dict.fromkeys(a.untold, -math.inf))  # type: ignore[arg-type]
 
     def _sense(self) -> None:
         pad = self.pad(self.now_s)

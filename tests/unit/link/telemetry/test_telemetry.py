@@ -10,7 +10,7 @@ from companion.base.autopilots import PROFILES, custom_mode, mode_name, mode_par
 from companion.base.geometry import euler_from_quat, quat_from_euler
 from companion.base.messages import AutopilotState, LandedState
 from companion.link.codec import Codec, CurrentMode, Message, mavlink, status_texts
-from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
+from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
 
 FRESH = AutopilotState(time_s=0.0)
 OUTPUTS = mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
@@ -238,6 +238,18 @@ def test_an_ardupilots_emergency_stop_takes_its_outputs_away(
 def test_the_batterys_charge_is_a_share_or_not_known(percent: int, share: float | None) -> None:
     message = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, percent, *[0] * 6)
     assert after(message).battery_share == share
+
+
+def test_what_it_said_of_its_checks_and_its_battery_is_forgotten_when_it_is_not_said_again() -> None:
+    prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    message = mavlink.MAVLink_sys_status_message(prearm, prearm, prearm, 0, 0, 0, 80, *[0] * 6)
+    state = update_state(FRESH, message, 10.0)
+    assert (state.ready_to_arm, state.battery_share) == (True, 0.8)
+    assert without_old(state, 12.5) == state
+    old = without_old(state, 600.0)
+    assert (old.ready_to_arm, old.battery_share, old.status_time_s) == (False, None, 10.0)
+    # and known again with the next
+    assert update_state(old, message, 600.1).battery_share == 0.8
 
 
 @pytest.mark.parametrize("mode", PROFILES["px4"].modes)

@@ -314,6 +314,10 @@ def on_the_ground(w: PlanWorld) -> None:
     w.position = (9.0, -1.0, -0.18)
 
 
+def untold(w: PlanWorld, field: str) -> None:
+    w.autopilot.untold = frozenset({field})
+
+
 REFUSALS: dict[str, tuple[Callable[[PlanWorld], None], str]] = {
     "no link": (lambda w: setattr(w.autopilot, "connected", False), "no heartbeat"),
     "disarmed": (lambda w: setattr(w.autopilot, "armed", False), "not armed"),
@@ -329,6 +333,13 @@ REFUSALS: dict[str, tuple[Callable[[PlanWorld], None], str]] = {
     "a twin": (lambda w: setattr(w.autopilot, "twin_until_s", 1e9), "duplicate companion on the link"),
     "no home": (lambda w: setattr(w, "home", lambda _t: None), "no home position"),
     "parameters": (lambda w: setattr(w, "setup_problem", "GUID_TIMEOUT is 3: too long"), "GUID_TIMEOUT is 3"),
+    "attitude": (lambda w: untold(w, "attitude_time_s"), "does not tell its attitude (ATTITUDE)"),
+    "status": (lambda w: untold(w, "status_time_s"), "does not tell its checks and battery (SYS_STATUS)"),
+    "no answer": (lambda w: untold(w, "round_trip_time_s"), "does not tell its time (TIMESYNC)"),
+    "never answered": (
+        lambda w: setattr(w.autopilot, "round_trip_s", None),
+        "does not tell its time (TIMESYNC)",
+    ),
     "no estimate": (lambda w: setattr(w, "vehicle_known", False), "no current vehicle estimate"),
     "battery": (lambda w: setattr(w.autopilot, "battery_share", 0.1), "battery critical: 10 % left"),
     "fence": (lambda w: setattr(w, "position", (500.0, 0.0, -6.0)), "fence: 500 m from home, limit 150 m"),
