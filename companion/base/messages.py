@@ -823,7 +823,6 @@ class Quantity(StrEnum):
     LEG_HEIGHT = "leg height"
     LINK_DELAY = "link's delay"
     CLOCK_RATE = "clock rate"
-    VISION_RATE = "vision's rate"
     BATTERY = "battery"
 
 

@@ -217,14 +217,6 @@ ROWS: Final = (
         in_flight="stamps are mapped by the measured rate",
     ),
     SourceRow(
-        Quantity.VISION_RATE,
-        first="the camera's file",
-        second="frames processed",
-        unit="Hz",
-        before="not compared",
-        in_flight="without sightings the descent stops",
-    ),
-    SourceRow(
         Quantity.LEG_HEIGHT,
         first="the vehicle's file",
         second="measured where it stands",

@@ -116,7 +116,7 @@ _Stamped = tuple[float, Quaternion]
 
 
 class HeadingOffset:
-    """Estimates autopilot heading minus our heading, and turns setpoints by it."""
+    """Estimates autopilot heading minus our heading, and turns setpoints by it; by nothing before a pair."""
 
     def __init__(self) -> None:
         self._ours: deque[_Stamped] = deque(maxlen=64)
@@ -126,11 +126,6 @@ class HeadingOffset:
         self._samples = 0
         self._sample_time_s = -math.inf
         self._strays: list[float] = []
-
-    @property
-    def ready(self) -> bool:
-        """Whether there has been a pair of attitudes to compare; before it nothing is turned."""
-        return self._samples > 0
 
     def update(
         self,
