@@ -11,7 +11,7 @@ from tests.unit.link.fake_autopilot import FakeAutopilot
 STEP_S = 0.02
 
 
-class Watched:
+class WatchedSetup:
     """A session with an ArduPilot, watched as in the app's cycles."""
 
     def __init__(self, config: CompanionConfig, *, reads_setup: bool = True) -> None:
@@ -35,7 +35,7 @@ class Watched:
 
 
 def test_until_they_are_read_and_while_they_refuse_control_that_is_said() -> None:
-    watched = Watched(CompanionConfig())
+    watched = WatchedSetup(CompanionConfig())
     watched.autopilot.deaf_to_parameters = 5  # asked again
     said = watched.run(2.0)
     assert said[-2] == UNREAD
@@ -43,7 +43,7 @@ def test_until_they_are_read_and_while_they_refuse_control_that_is_said() -> Non
 
 
 def test_what_an_operator_corrects_is_known_without_a_new_start() -> None:
-    watched = Watched(CompanionConfig())
+    watched = WatchedSetup(CompanionConfig())
     watched.run(2.0)
     watched.autopilot.parameters["GUID_TIMEOUT"] = 1.0
     assert watched.run(SETUP_AGAIN_S + 1.0)[-1] == ""
@@ -65,7 +65,7 @@ def test_a_thrust_that_is_a_climb_rate_stands_against_attitudes_alone(
     setpoint: str, may_set: bool, why: str
 ) -> None:
     settings = {"control": {"setpoint": setpoint}, "link": {"set_parameters": may_set}}
-    watched = Watched(CompanionConfig.model_validate(settings))
+    watched = WatchedSetup(CompanionConfig.model_validate(settings))
     watched.autopilot.parameters |= {"GUID_TIMEOUT": 1.0, "GUID_OPTIONS": 0.0}
     said = watched.run(2.0)[-1]
     assert said.startswith(why)
@@ -73,4 +73,4 @@ def test_a_thrust_that_is_a_climb_rate_stands_against_attitudes_alone(
 
 
 def test_without_a_flight_of_ours_no_parameter_is_read_or_stands_against_it() -> None:
-    assert set(Watched(CompanionConfig(), reads_setup=False).run(2.0)) == {""}
+    assert set(WatchedSetup(CompanionConfig(), reads_setup=False).run(2.0)) == {""}
