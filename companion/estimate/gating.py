@@ -173,4 +173,5 @@ class Timeline(Generic[S, Item]):
         # the newest entry before the span stays: it is the base for a measurement at the span's start
         old = bisect_right(self._times_s, self._times_s[-1] - self._span_s) - 1
         if old > 0:
+            self._first = self._after[old - 1]  # where all that is remembered is taken again
             del self._times_s[:old], self._items[:old], self._after[:old]

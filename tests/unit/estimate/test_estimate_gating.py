@@ -122,3 +122,12 @@ def test_inputs_may_be_replaced_by_none() -> None:
     timeline.replace(1.5, [])
     assert recorder.state == ((1.0, "stays"),)
     assert timeline.as_of(3.0) == recorder.state
+
+
+def test_when_all_that_is_remembered_is_replaced_what_was_before_it_stays() -> None:
+    recorder = InputRecorder()
+    timeline = Timeline(recorder, span_s=1.0)
+    for k in range(5):
+        timeline.add(float(k), f"old {k}")
+    timeline.replace(0.0, [(4.0, "new")])
+    assert recorder.state == ((0.0, "old 0"), (1.0, "old 1"), (2.0, "old 2"), (4.0, "new"))
