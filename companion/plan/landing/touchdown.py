@@ -243,7 +243,7 @@ class TouchdownSequence:
             return lost
         assert sight is not None
         down = feet.low(self._config.contact_margin_m) or stands_s >= self._config.overdue_s
-        return self._go_down(sight, asked_m_s, now_s, down=down, stopped=stands_s >= 0.0)
+        return self._go_down(sight, asked_m_s, now_s, down=down, stopped=stops)
 
     def feet_down(self, now_s: float) -> bool:
         """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
