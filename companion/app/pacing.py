@@ -21,8 +21,8 @@ from companion.plan.landing.contact import UNSEEN_S
 # Vision and control share the processor, where it has one core or is held back. While control is late by more
 # than a period, so that cycles are lost, each step leaves the processor alone for one more of vision's own
 # times after a frame; a step back follows after long enough without a late cycle. A cycle that is a little
-# late costs less than an old sighting: fewer frames for it tripled the time from exposure to setpoint. Each
-# step is announced, and so is control that is late all the same: FIFO overflows and lost estimates follow.
+# late costs less than an old sighting. Each step is announced, and so is control that is late all the same:
+# FIFO overflows and lost estimates follow from it.
 
 FRAMES: Final = 10  # by which vision's time is known
 JUDGED_CYCLES: Final = 30  # control's, by which a step is judged; the next one after as many
@@ -93,8 +93,7 @@ class VisionPace:
 EARLIEST: Final = 0.1
 LATEST: Final = 0.3
 # Shares of a frame's distance from the time due by which the timer is drawn: more towards late ones, since a
-# frame too late for its cycle waits for a whole period. Without frames it is drawn as much by a cycle that is
-# late itself: a computer that does not keep up controls less often, in place of cycles that queue
+# frame too late for its cycle waits for a whole period
 DRAWN_EARLIER: Final = 0.1
 DRAWN_LATER: Final = 0.3
 FITS: Final = 0.03  # of a period, that whole frames may last longer or shorter
@@ -108,15 +107,19 @@ class ControlTimer:
 
     def __init__(self, clock: Clock, period_s: float) -> None:
         self._clock, self.period_s = clock, period_s
-        self._due_s = clock.now_s()  # by the timer alone
-        self.late_s = 0.0  # how long ago this cycle was to begin
+        self._due_s = self._begin_s = clock.now_s()  # by the timer alone; and with a frame
         self._fused_s = -math.inf
         self._intervals_s: deque[float] = deque(maxlen=INTERVALS)
         self._frame = asyncio.Event()
 
+    @property
+    def late_s(self) -> float:
+        """How long ago (s) the cycle was to begin."""
+        return self._clock.now_s() - self._begin_s
+
     def restart(self) -> None:
         """A cycle begins now; what was missed is not made up for."""
-        self._due_s, self.late_s = self._clock.now_s(), 0.0
+        self._due_s = self._begin_s = self._clock.now_s()
 
     def frame_fused(self) -> None:
         """The estimate knows what the newest frame shows."""
@@ -127,29 +130,20 @@ class ControlTimer:
         self._frame.set()
 
     async def next_cycle(self) -> None:
-        """Wait until the next is to begin."""
-        begin_s = await self._begin()
-        self.late_s = self._clock.now_s() - begin_s
-
-    async def _begin(self) -> float:
-        """Wait as long; returns when it was to begin."""
         self._due_s += self.period_s
         earliest_s = self._due_s - EARLIEST * self.period_s
         latest_s = self._due_s + LATEST * self.period_s
         interval_s = self._interval_s()
         if interval_s is None or self._clock.now_s() - self._fused_s > SILENT_FRAMES * interval_s:
-            if self.late_s > EARLIEST * self.period_s:
-                self._due_s += DRAWN_LATER * self.late_s
-            due_s = self._due_s
-            await self._clock.sleep_until(due_s)
-            return due_s
+            self._begin_s = self._due_s
+            await self._clock.sleep_until(self._begin_s)
+            return
         await self._clock.sleep_until(earliest_s)
         near = self._due_s - self._fused_s <= 0.5 * interval_s  # no other frame is nearer to the time due
         frame_s = self._fused_s if near else await self._next_frame(latest_s)
-        begin_s = min(max(frame_s, earliest_s), latest_s)
+        self._begin_s = min(max(frame_s, earliest_s), latest_s)
         off_s = min(frame_s, latest_s) - self._due_s
         self._due_s += (DRAWN_LATER if off_s > 0.0 else DRAWN_EARLIER) * off_s
-        return begin_s
 
     async def _next_frame(self, latest_s: float) -> float:
         """Wait until one is fused, or so long; returns when that was."""
