@@ -54,7 +54,8 @@ INTRODUCTION: Final = """\
 Written by `python -m docs.state_machine` from `companion/plan/mission/table.py`, which alone decides where a
 mission goes. In a control cycle the events act in this order until one changes the state: the failsafes, the
 most serious first; then a request that was refused too often; then an event that the state itself detects.
-An event acts only if it has a row for the present state.
+An event acts only if it has a row for the present state. Granted control acts before all others. After a
+refused request or a vehicle tipped over no other event of the cycle counts.
 
 Control of the vehicle is *none* until the autopilot grants it and reports that it obeys setpoints. Then it is
 *ours*. It is *released* when the app returns it to the autopilot or a pilot takes it. To return it the app

@@ -232,7 +232,10 @@ Waypoint = tuple[Place, Place] | tuple[Place, Place, Height]
 
 
 class PhaseTimesConfig(StrictModel):
-    """How long each phase may last; standby waits for ever, and AUTO_LAND asks again while it is heard."""
+    """How long each phase may last.
+
+    Standby waits for ever; SET_DOWN and AUTO_LAND ask again while the autopilot is heard.
+    """
 
     connect_s: float = Field(default=90.0, ge=5.0, le=3600.0)
     """Longest wait until everything is ready; then the app gives up on the ground; raise it where GPS takes

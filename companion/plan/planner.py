@@ -368,13 +368,16 @@ class Planner:
         if Effect.ASK_AFRESH in branch.effects:
             self._requests.forget()
             self._monitor.phase_begins(now_s)
-            self._say("motors_on", "landed, motors still on: LAND and disarm requested", now_s, "error")
         if Effect.ASK_NOTHING in branch.effects:
             self.withdraws = True
             self._requests.forget()
             self._generator.stop()
             self._say("pilot", reason, now_s, "warning")
         kinds = {action.kind for action in branch.actions}
+        if Effect.ASK_AFRESH in branch.effects:
+            on_pad = ActionKind.DISARM in kinds
+            words = "landed, motors still on: LAND and disarm" if on_pad else "no contact yet: LAND"
+            self._say("motors_on", f"{words} requested again", now_s, "error")
         if ActionKind.LEAVE_OFFBOARD in kinds:
             self._say("leave_offboard", "mode changed to Hold: PX4 does not arm in OFFBOARD", now_s)
         if ActionKind.HOLD_IF_OBEYED in kinds:

@@ -4,13 +4,14 @@ Its rules:
   every pair of a state and an event has one row, or is ignored, or is impossible;
   an impossible pair ends in a hold by the autopilot, and is announced;
   every state ends by time, except the final ones (LANDED, ABORT), STANDBY, which waits for an order, and
-  AUTO_LAND while the autopilot is received: it goes on to request LAND and disarm, or the motors stay on;
+  SET_DOWN and AUTO_LAND while the autopilot is received: they go on to request LAND, and once there was a
+  contact a disarming, or the motors stay on;
   control that was released is never taken again in this mission, and nothing more is requested;
   STOP, the bounds and overtime return control to the autopilot, which holds its position; low over the pad
   the vehicle climbs clear first. A lost or disputed estimate, a controller without a plan and a late link
   leave no time for that;
-  COMMITTED states heed, of what may come anywhere, only TAKEN_OVER, DISARMED, their own time and a low
-  battery (no new try), and SINK a lost or disputed estimate and a controller without a plan;
+  COMMITTED states heed, of what may come anywhere, only TAKEN_OVER, DISARMED, TIPPED_OVER, their own
+  time and a low battery (no new try), and SINK a lost or disputed estimate and a controller without a plan;
   a vehicle that a pilot flew when the landing was ordered, and that the app never controlled, stays in the
   pilot's mode; once control was asked for, it is put into a hold if it obeys setpoints, whatever it answered;
   a PX4 that is disarmed in the app's OFFBOARD is put into Hold, so that it can be armed again.

@@ -750,6 +750,17 @@ def test_land_that_is_asked_for_in_a_gap_of_the_link_is_asked_again_after_it() -
     assert w.fly(30.0).phase is Phase.LANDED
 
 
+def test_what_has_met_nothing_is_not_said_to_have_landed() -> None:
+    w = low_over_the_pad()
+    w.fly(20.0, until=lambda w: w.flight.told("commit") != [])
+    # GIVEN a vehicle without an estimate that is not set down: LAND is refused
+    w.vehicle_known, w.autopilot.refuse = False, {ActionKind.LAND: 999}
+    w.autopilot.doubts, w.range_lost, w.blind = True, True, lambda _t, _h: True
+    w.fly(60.0)
+    # THEN it goes on to ask for LAND, and claims no landing
+    assert set(w.flight.told("motors_on")) == {"no contact yet: LAND requested again"}
+
+
 @pytest.mark.parametrize("kind", ["px4", "ardupilot"])
 def test_a_vehicle_on_its_side_is_disarmed_though_the_first_answer_is_lost(kind: Any) -> None:
     w, forced, thrust = world(), list[float](), set[bool]()
