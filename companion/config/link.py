@@ -55,8 +55,8 @@ class LinkConfig(StrictModel):
     """Tries of a command before it is given up; raise it for a lossy link"""
     force_disarm: bool = Field(default=True)
     """Allow disarming by force, only if the autopilot refuses the plain disarming after a recent sighting or
-    echo has shown the vehicle at rest for `land_after_s` (1 s; without the IMU 3 s). Without it PX4 may stay
-    armed on a moving pad. Turn it off if a pilot disarms"""
+    echo has shown the vehicle at rest for `land_after_s` (1 s; without the IMU 3 s), or while it lies on its
+    side. Without it PX4 may stay armed on a moving pad. Turn it off if a pilot disarms"""
     set_parameters: bool = Field(default=False, json_schema_extra=OPERATOR)
     """Allow setting bit 3 of ArduPilot's GUID_OPTIONS, which attitude setpoints need; without it arming and
     control are refused while the bit is missing. Set it if you do not set the parameter yourself"""
