@@ -88,12 +88,14 @@ class Departure:
         return None
 
     def _armed(self) -> DetectedEvent | None:
-        """Who has armed it: we, only where our request was granted; while that waits, nobody can tell."""
+        """Who has armed it: we, where our request was granted; somebody else, where it was denied."""
         if self._requests.granted(ActionKind.ARM):
             return MissionEvent.ARMED, "motors on"
-        if self._requests.answered(ActionKind.ARM):
-            return MissionEvent.ALREADY_ARMED, "no request of this app was granted"
-        return None
+        if self._requests.awaited(ActionKind.ARM):
+            return None
+        if self._requests.in_doubt(ActionKind.ARM):
+            return MissionEvent.ARMED_IN_DOUBT, "the answer to the request of this app was lost"
+        return MissionEvent.ALREADY_ARMED, "no request of this app was granted"
 
     def _take_off(
         self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float

@@ -136,7 +136,8 @@ ROWS: Final = (
     *_rows(E.READY, S.CONNECT, Branch(S.ARM, (_ARM,))),
     # also after a restart in the air, or while arming is refused: somebody else has the vehicle
     *_rows(E.ALREADY_ARMED, {S.CONNECT, S.ARM}, _CONTROL_LOST),
-    *_rows(E.ALIGNMENT_LOST, S.ARM, _end(_DISARM)),
+    # It may be ours, and then nobody else turns the motors off; in the air the autopilot refuses to.
+    *_rows((E.ARMED_IN_DOUBT, E.ALIGNMENT_LOST), S.ARM, _end(_DISARM)),
     *_rows(E.ARMED, S.ARM, Branch(S.TAKE_OFF, (_TAKE_OFF,))),
     *_rows(E.AIRBORNE, S.TAKE_OFF, Branch(S.WAYPOINT, (_GO_TO,))),
     *_rows(E.BLOCKED, S.TAKE_OFF, Branch(S.ROUTE)),
