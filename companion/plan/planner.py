@@ -131,12 +131,13 @@ class Planner:
     def last_request(self, autopilot: AutopilotState) -> Action | None:
         """What is asked for when control has failed: it flies by our word, or its return is asked for.
 
-        None: somebody else flies it.
+        None: somebody else flies it, and has not been asked to give it to us.
         """
         machine = self._machine
         ours = machine.authority is Authority.OURS or (machine.in_control and self.waiting)
         if not (autopilot.offboard and ours):
-            return None
+            asked = ActionKind.TAKE_CONTROL in self._requests.asked_last
+            return Action(ActionKind.HOLD_IF_OBEYED) if asked else None
         # to hold a position a vehicle that stands would lift off
         stands = autopilot.landed is LandedState.ON_GROUND or machine.state in COMMITTED
         return Action(ActionKind.LAND if stands else ActionKind.HOLD)
