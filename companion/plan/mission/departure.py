@@ -55,7 +55,8 @@ class Departure:
         if action.kind is ActionKind.TAKE_OFF:
             return replace(action, height_m=self._config.take_off_height_m)
         if action.kind is ActionKind.GO_TO and autopilot.home is not None:
-            self._sent_to = self._waypoint_geodetic(autopilot.home)
+            north, east = self._config.waypoint_ned_m
+            self._sent_to = geodetic_from_ned((north, east, 0.0), autopilot.home)
             return replace(action, position=(*self._sent_to[:2], self._config.take_off_height_m))
         if action.kind is ActionKind.HOLD and action.height_m != 0.0:
             here_m = self._ground.over_home_m  # asked again, it does not rise again from where it is then
@@ -138,7 +139,3 @@ class Departure:
                 event = MissionEvent.ONWARD if c.waypoints_ned_m else MissionEvent.ARRIVED
                 return event, f"{distance_m:.1f} m from the waypoint"
         return None
-
-    def _waypoint_geodetic(self, home: Vector3) -> Vector3:
-        north, east = self._config.waypoint_ned_m
-        return geodetic_from_ned((north, east, 0.0), home)

@@ -11,7 +11,6 @@ from typing import Final
 from companion.base.messages import Action, ActionKind, ActionResult
 
 PATIENT: Final = frozenset({ActionKind.ARM})
-NO_ANSWER: Final = "no answer"
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +124,7 @@ class Requests:
     def _give_up(self, now_s: float) -> tuple[str, ...]:
         for pending in list(self._pending.values()):
             if pending.answer_by_s <= now_s:
-                self._put_off(pending, now_s, NO_ANSWER)
+                self._put_off(pending, now_s, "no answer")
         spent = [
             p
             for kind, p in self._pending.items()
