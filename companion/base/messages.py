@@ -442,12 +442,16 @@ class Action:
 
 @dataclass(frozen=True, slots=True)
 class ActionResult:
-    """How an action ended; a refused one carries the autopilot's text."""
+    """How an action ended; a refused one carries the autopilot's text.
+
+    `in_doubt`: it left, and neither was it denied nor has the autopilot's state shown it: an answer was lost.
+    """
 
     time_s: float
     kind: ActionKind
     accepted: bool
     text: str = ""
+    in_doubt: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ class MissionEvent(StrEnum):
     ALREADY_ARMED = "already_armed"  # and not by us
     ALIGNMENT_LOST = "alignment_lost"  # our estimate's, before the autopilot would arm
     ARMED = "armed"  # by us: our request was granted
+    ARMED_IN_DOUBT = "armed_in_doubt"  # by us or by a pilot: our request was neither granted nor denied
     AIRBORNE = "airborne"  # take-off height reached
     BLOCKED = "blocked"  # the same, but an obstacle is in the straight way that the autopilot would fly
     HOME_UNKNOWN = "home_unknown"  # the same, but where the obstacles are is not known

@@ -97,7 +97,7 @@ class Planner:
         self._say = Announcements()
         self._heard_s = -math.inf
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
-        self._monitor = FailsafeMonitor(mission, self._machine)
+        self._monitor = FailsafeMonitor(mission, self._machine, self._requests)
         self._pad = PadTrack(search.sightings, KNOWN_S)
         self._ground, self._echoes = HeightAboveGround(vehicle.range_position_body_m), EchoCheck()
         self._standing_height = standing_height or StandingHeight(vehicle)
@@ -131,12 +131,13 @@ class Planner:
     def last_request(self, autopilot: AutopilotState) -> Action | None:
         """What is asked for when control has failed: it flies by our word, or its return is asked for.
 
-        None: somebody else flies it.
+        None: somebody else flies it, and has not been asked to give it to us.
         """
         machine = self._machine
         ours = machine.authority is Authority.OURS or (machine.in_control and self.waiting)
         if not (autopilot.offboard and ours):
-            return None
+            asked = ActionKind.TAKE_CONTROL in self._requests.asked_last
+            return Action(ActionKind.HOLD_IF_OBEYED) if asked else None
         # to hold a position a vehicle that stands would lift off
         stands = autopilot.landed is LandedState.ON_GROUND or machine.state in COMMITTED
         return Action(ActionKind.LAND if stands else ActionKind.HOLD)
@@ -260,9 +261,7 @@ class Planner:
             self._steering.steer(inputs, now_s)
 
     def _failsafes(self, inputs: PlanInputs, now_s: float) -> tuple[DetectedEvent, ...]:
-        asks_after_end = self._machine.state is State.ABORT and self._requests.open
-        asked = self._requests.asked_last
-        if asks_after_end and (taken := self._monitor.after_end(inputs.autopilot, asked)):
+        if taken := self._monitor.after_end(inputs.autopilot):
             return taken
         spent = self._requests.hear(inputs.results, now_s)
         for words in spent:
@@ -270,15 +269,7 @@ class Planner:
         for words in self._requests.news():
             self._say("refused", words, now_s, "warning")
         refused = ((MissionEvent.REFUSED, spent[0]),) if spent else ()
-        detected = self._monitor.detect(
-            inputs,
-            now_s,
-            control_granted=self._requests.granted(ActionKind.TAKE_CONTROL),
-            taking_off=self._requests.granted(ActionKind.TAKE_OFF),
-            over_home_m=self._ground.over_home_m,
-            asked=asked,
-        )
-        return (*detected, *refused)
+        return (*self._monitor.detect(inputs, now_s, self._ground.over_home_m), *refused)
 
     def _circumstances(self, inputs: PlanInputs, now_s: float) -> Circumstances:
         landed = inputs.autopilot.landed

@@ -16,7 +16,7 @@ from companion.base.clock import Clock
 from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
-from companion.link.actions.dialogue import Dialogue, Refused, Unanswered, wanted
+from companion.link.actions.dialogue import Dialogue, InDoubt, Refused, wanted
 from companion.link.autopilot_setup import UNREAD, loss_refusal, thrust_refusal
 from companion.link.codec import mavlink
 from companion.link.commands import GUIDED_OPTIONS, THRUST_IS_THRUST, WITHDRAWN, request_message
@@ -96,7 +96,9 @@ class PymavlinkActions:
             self._under_way.remove(work)
             work.cancel()  # when it is we who are cancelled; nothing once it is done
         if work.cancelled():
-            return ActionResult(self._clock.now_s(), action.kind, accepted=False, text=WITHDRAWN)
+            return ActionResult(
+                self._clock.now_s(), action.kind, accepted=False, text=WITHDRAWN, in_doubt=True
+            )
         return work.result()
 
     def cancel(self) -> None:
@@ -120,7 +122,8 @@ class PymavlinkActions:
             count = session.texts_heard - heard_before
             words = session.state.texts[-count:] if count > 0 else ()
             text = "; ".join((str(refusal), *words))
-            return ActionResult(clock.now_s(), action.kind, accepted=False, text=text)
+            in_doubt = isinstance(refusal, InDoubt)
+            return ActionResult(clock.now_s(), action.kind, accepted=False, text=text, in_doubt=in_doubt)
         return ActionResult(clock.now_s(), action.kind, accepted=True)
 
     # ------------------------------------------------------------ the actions
@@ -261,7 +264,7 @@ class PymavlinkActions:
         void = self.unless_taken_up(asked_in)
         try:
             await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0), void=void)
-        except Unanswered:
+        except InDoubt:
             raise
         except Refused:
             if not (action.force and self._config.force_disarm):

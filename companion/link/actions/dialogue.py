@@ -29,22 +29,22 @@ class Refused(Exception):  # noqa: N818 - it reads as what happened
     """An action came to nothing; the text says why."""
 
 
-class Unanswered(Refused):
-    """Nothing was heard of it, so that it may have been carried out or not."""
+class InDoubt(Refused):
+    """It left, and was not denied, so that it may have been carried out or not."""
 
 
 def _wanted_still() -> str:
     return ""
 
 
-def wanted(void: Callable[[], str]) -> None:
+def wanted(void: Callable[[], str], *, left: bool = False) -> None:
     """See to it that something is wanted still.
 
     Raises:
-        Refused: `void` says why it is not.
+        Refused: `void` says why it is not; in doubt if it has `left`.
     """
     if why := void():
-        raise Refused(why)
+        raise (InDoubt if left else Refused)(why)
 
 
 class Dialogue:
@@ -105,8 +105,8 @@ class Dialogue:
         """Send a command to the autopilot and wait for its answer.
 
         Raises:
-            Unanswered: it does not answer.
-            Refused: it answers something else than "accepted", or it is void.
+            InDoubt: it does not answer, or it is void before it has.
+            Refused: it answers something else than "accepted", or it is void before it leaves.
         """
         unused = self.profile().unused_parameter
         if position is None:
@@ -114,7 +114,7 @@ class Dialogue:
         command = VehicleCommand(number, parameters, position, target_system=self._session.system_id)
         outcome = await self.outcome(self._session.command(command), void=void)
         if outcome == NO_ANSWER:
-            raise Unanswered("the autopilot does not answer")
+            raise InDoubt("the autopilot does not answer")
         if outcome != "accepted":
             raise Refused(outcome)
 
@@ -124,15 +124,15 @@ class Dialogue:
         """Wait until the autopilot's own state shows what it has accepted.
 
         Raises:
-            Refused: it does not in time, or it is void.
+            InDoubt: it does not in time, or it is void.
         """
         until_s = self._clock.now_s() + _CONFIRM_S
         if not holds():
             self.ask_for_heartbeat()
         while not holds():
-            wanted(void)
+            wanted(void, left=True)
             if self._clock.now_s() >= until_s:
-                raise Refused(f"accepted, but not {what}")
+                raise InDoubt(f"accepted, but not {what}")
             await self._clock.sleep_until(self._clock.now_s() + _POLL_S)
 
     def ask_for_heartbeat(self) -> None:
@@ -159,12 +159,12 @@ class Dialogue:
         """How it ended.
 
         Raises:
-            Refused: it is void.
+            Refused: it is void; in doubt if it has left.
         """
         self._waited_for.append(pending)
         try:
             while pending.outcome is None:
-                wanted(void)
+                wanted(void, left=pending.tries > 0)
                 now_s = self._clock.now_s()
                 self._send(self._session.tick(now_s))
                 if pending.outcome is None:

@@ -27,7 +27,7 @@ from companion.base.clock import Clock
 from companion.base.messages import Action
 from companion.config import ConfigError, LinkConfig
 from companion.link.actions.actions import PymavlinkActions
-from companion.link.actions.dialogue import Refused, wanted
+from companion.link.actions.dialogue import InDoubt, Refused, wanted
 from companion.link.codec import has_command, holds_only, mavlink
 from companion.link.session import Session
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES
@@ -202,7 +202,8 @@ class MavsdkActions(PymavlinkActions):
         try:
             return await self._call(call)
         except MavsdkError as error:
-            raise Refused(_words(error)) from error
+            words = _words(error)
+            raise (InDoubt if words == "timeout" else Refused)(words) from error
 
     async def _call(self, call: Coroutine[Any, Any, T]) -> T:
         """Run a call to its end even when we are cancelled: its thread cannot be stopped, only waited for."""

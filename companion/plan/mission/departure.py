@@ -55,7 +55,8 @@ class Departure:
         if action.kind is ActionKind.TAKE_OFF:
             return replace(action, height_m=self._config.take_off_height_m)
         if action.kind is ActionKind.GO_TO and autopilot.home is not None:
-            self._sent_to = self._waypoint_geodetic(autopilot.home)
+            north, east = self._config.waypoint_ned_m
+            self._sent_to = geodetic_from_ned((north, east, 0.0), autopilot.home)
             return replace(action, position=(*self._sent_to[:2], self._config.take_off_height_m))
         if action.kind is ActionKind.HOLD and action.height_m != 0.0:
             here_m = self._ground.over_home_m  # asked again, it does not rise again from where it is then
@@ -88,12 +89,14 @@ class Departure:
         return None
 
     def _armed(self) -> DetectedEvent | None:
-        """Who has armed it: we, only where our request was granted; while that waits, nobody can tell."""
+        """Who has armed it: we, where our request was granted; somebody else, where it was denied."""
         if self._requests.granted(ActionKind.ARM):
             return MissionEvent.ARMED, "motors on"
-        if self._requests.answered(ActionKind.ARM):
-            return MissionEvent.ALREADY_ARMED, "no request of this app was granted"
-        return None
+        if self._requests.awaited(ActionKind.ARM):
+            return None
+        if self._requests.in_doubt(ActionKind.ARM):
+            return MissionEvent.ARMED_IN_DOUBT, "the answer to the request of this app was lost"
+        return MissionEvent.ALREADY_ARMED, "no request of this app was granted"
 
     def _take_off(
         self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
@@ -136,7 +139,3 @@ class Departure:
                 event = MissionEvent.ONWARD if c.waypoints_ned_m else MissionEvent.ARRIVED
                 return event, f"{distance_m:.1f} m from the waypoint"
         return None
-
-    def _waypoint_geodetic(self, home: Vector3) -> Vector3:
-        north, east = self._config.waypoint_ned_m
-        return geodetic_from_ned((north, east, 0.0), home)

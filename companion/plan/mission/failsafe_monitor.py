@@ -32,6 +32,7 @@ from companion.plan.mission.readiness import (
     rival_words,
     velocity_words,
 )
+from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Authority, State
 from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, StateMachine, by_severity
 
@@ -111,8 +112,8 @@ def _disputed(
 class FailsafeMonitor:
     """Looks at every cycle's inputs before the phase does."""
 
-    def __init__(self, config: MissionConfig, machine: StateMachine) -> None:
-        self._config, self._machine = config, machine
+    def __init__(self, config: MissionConfig, machine: StateMachine, requests: Requests) -> None:
+        self._config, self._machine, self._requests = config, machine, requests
         self._modes = ModeMonitor(config.take_off_height_m)
         self.bounds = Bounds(config)
         self._held = Debounce()
@@ -129,24 +130,16 @@ class FailsafeMonitor:
         return self._held.held_s("phase", True, now_s), self._held.held_s("mission", flies, now_s)
 
     def detect(
-        self,
-        inputs: PlanInputs,
-        now_s: float,
-        *,
-        control_granted: bool,
-        taking_off: bool = False,
-        over_home_m: float | None = None,
-        asked: frozenset[ActionKind] = frozenset(),
+        self, inputs: PlanInputs, now_s: float, over_home_m: float | None = None
     ) -> tuple[DetectedEvent, ...]:
-        """All that holds in this cycle, the gravest first; nothing any more once the mission has ended.
-
-        `control_granted`, `taking_off`: the request was accepted. `asked`: what was asked for last.
-        """
+        """All that holds in this cycle, the gravest first; nothing any more once the mission has ended."""
         phase_s, mission_s = self._times_s(now_s)
         state, authority, autopilot = self._machine.state, self._machine.authority, inputs.autopilot
         if state in FINAL:
             return ()
         self._modes.listen(autopilot, inputs.link, now_s)
+        control_granted = self._requests.granted(ActionKind.TAKE_CONTROL)
+        taking_off = self._requests.granted(ActionKind.TAKE_OFF)
         taken_over = autopilot.connected and self._modes.taken_over(
             state,
             authority,
@@ -154,7 +147,7 @@ class FailsafeMonitor:
             requested=control_granted if authority is Authority.PILOT else taking_off,
             over_home_m=over_home_m,
             now_s=now_s,
-            asked=asked,
+            asked=self._requests.asked_last,
         )
         found = [*_signs(inputs, control_granted=control_granted, taken_over=taken_over)]
         found += self._tipped_over(inputs, now_s)
@@ -164,13 +157,14 @@ class FailsafeMonitor:
         found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(phase_s, mission_s)]
         return by_severity([(event, words + _cause(event, inputs.shortage)) for event, words in found])
 
-    def after_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> tuple[DetectedEvent, ...]:
-        """Whether somebody has taken the vehicle while the mission's end still asks for this."""
-        if not autopilot.connected:
+    def after_end(self, autopilot: AutopilotState) -> tuple[DetectedEvent, ...]:
+        """Whether somebody has taken the vehicle while the mission's end still asks for something."""
+        asks = self._machine.state is State.ABORT and self._requests.open
+        if not (asks and autopilot.connected):
             return ()
         if autopilot.motors_cut:
             return ((MissionEvent.TAKEN_OVER, "motors cut: no further requests"),)
-        if self._modes.taken_since_end(autopilot, asked):
+        if self._modes.taken_since_end(autopilot, self._requests.asked_last):
             return ((MissionEvent.TAKEN_OVER, f"mode {autopilot.mode}: no further requests"),)
         return ()
 

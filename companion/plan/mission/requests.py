@@ -11,7 +11,6 @@ from typing import Final
 from companion.base.messages import Action, ActionKind, ActionResult
 
 PATIENT: Final = frozenset({ActionKind.ARM})
-NO_ANSWER: Final = "no answer"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +28,9 @@ class Requests:
     def __init__(self, retry_s: float, answer_s: float, attempts: int) -> None:
         self._retry_s, self._answer_s, self._attempts = retry_s, answer_s, attempts
         self._pending: dict[ActionKind, _Pending] = {}
-        self._accepted: set[ActionKind] = set()
-        self._unanswered: set[ActionKind] = set()
-        self._left: set[ActionKind] = set()
+        # what has left since `forget`, with the answer to the last of it: None while that is still to come
+        self._answers: dict[ActionKind, ActionResult | None] = {}
+        self._in_doubt_before: frozenset[ActionKind] = frozenset()
         self._reports: list[Action] = []
         self._news: list[str] = []
 
@@ -47,7 +46,7 @@ class Requests:
         """
         pending = self._pending.get(action.kind)
         stronger = pending is not None and action.force and not pending.action.force
-        if action.kind not in self._accepted and (pending is None or stronger):
+        if not self.granted(action.kind) and (pending is None or stronger):
             self._pending[action.kind] = _Pending(action, due_s=now_s)
 
     def tell(self, action: Action) -> None:
@@ -56,29 +55,34 @@ class Requests:
 
     def forget(self) -> None:
         """Drop what is open and what was granted: a new phase asks anew."""
-        self._unanswered = {kind for kind, pending in self._pending.items() if pending.sent > 0}
+        self._in_doubt_before = frozenset(kind for kind in self._answers if self.in_doubt(kind))
         self._pending.clear()
-        self._left.clear()
-        self._accepted.clear()
+        self._answers.clear()
         self._news.clear()
 
     def granted(self, kind: ActionKind) -> bool:
         """Whether a request of this kind was accepted since `forget`."""
-        return kind in self._accepted
+        answer = self._answers.get(kind)
+        return answer is not None and answer.accepted
+
+    def in_doubt(self, kind: ActionKind) -> bool:
+        """Whether a request of this kind has left since `forget`, and was neither granted nor denied."""
+        answer = self._answers.get(kind)
+        return kind in self._answers and (answer is None or answer.in_doubt)
+
+    def awaited(self, kind: ActionKind) -> bool:
+        """Whether the answer to a request of this kind is still to come."""
+        return kind in self._answers and self._answers[kind] is None
 
     @property
     def asked_last(self) -> frozenset[ActionKind]:
         """What is asked for or was granted since `forget`, and what may still be carried out of before."""
-        return frozenset({*self._pending, *self._accepted, *self._unanswered})
-
-    def answered(self, kind: ActionKind) -> bool:
-        """Whether no request of this kind is on its way, or with an autopilot that has not answered yet."""
-        pending = self._pending.get(kind)
-        return pending is None or pending.sent == 0 or pending.due_s < float("inf")
+        may_be_done = {kind for kind in self._answers if self.granted(kind) or self.in_doubt(kind)}
+        return self._in_doubt_before | may_be_done | self._pending.keys()
 
     def asked(self, kind: ActionKind) -> bool:
         """Whether a request of this kind has left since `forget`."""
-        return kind in self._left
+        return kind in self._answers
 
     def hear(self, results: tuple[ActionResult, ...], now_s: float) -> tuple[str, ...]:
         """Take the answers in; returns why a request is given up, for each that is."""
@@ -86,9 +90,9 @@ class Requests:
             open_request = self._pending.get(result.kind)
             if open_request is None or open_request.sent == 0:
                 continue
+            self._answers[result.kind] = result
             if result.accepted:
                 del self._pending[result.kind]
-                self._accepted.add(result.kind)
             else:
                 self._put_off(open_request, now_s, result.text or "refused")
         return self._give_up(now_s)
@@ -102,8 +106,8 @@ class Requests:
     def due(self, now_s: float) -> tuple[Action, ...]:
         """The actions to send now."""
         ready = [p for p in self._pending.values() if p.due_s <= now_s]
-        self._left |= {p.action.kind for p in ready}
         for p in ready:
+            self._answers[p.action.kind] = None
             self._pending[p.action.kind] = replace(
                 p, due_s=float("inf"), sent=p.sent + 1, answer_by_s=now_s + self._answer_s
             )
@@ -120,7 +124,7 @@ class Requests:
     def _give_up(self, now_s: float) -> tuple[str, ...]:
         for pending in list(self._pending.values()):
             if pending.answer_by_s <= now_s:
-                self._put_off(pending, now_s, NO_ANSWER)
+                self._put_off(pending, now_s, "no answer")
         spent = [
             p
             for kind, p in self._pending.items()

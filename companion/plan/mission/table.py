@@ -137,7 +137,12 @@ ROWS: Final = (
     *_rows(E.READY, S.CONNECT, Branch(S.ARM, (_ARM,))),
     # also after a restart in the air, or while arming is refused: somebody else has the vehicle
     *_rows(E.ALREADY_ARMED, {S.CONNECT, S.ARM}, _CONTROL_LOST),
-    *_rows(E.ALIGNMENT_LOST, S.ARM, _end(_DISARM)),
+    # Our request may be obeyed yet, and nobody else turns the motors off; in the air that is refused.
+    *_rows(
+        (E.ARMED_IN_DOUBT, E.ALIGNMENT_LOST, E.TIMEOUT, E.STOP, E.SUSPENDED),
+        S.ARM,
+        _end(_DISARM),
+    ),
     *_rows(E.ARMED, S.ARM, Branch(S.TAKE_OFF, (_TAKE_OFF,))),
     *_rows(E.AIRBORNE, S.TAKE_OFF, Branch(S.WAYPOINT, (_GO_TO,))),
     *_rows(E.BLOCKED, S.TAKE_OFF, Branch(S.ROUTE)),
@@ -196,7 +201,6 @@ ROWS: Final = (
     *_rows(E.REFUSED, {S.SET_DOWN, S.AUTO_LAND}, Branch(None, (_LAND,))),
     # ---- the time of a phase
     *_rows(E.TIMEOUT, S.CONNECT, _GIVE_UP, except_={S.STANDBY: _WAITS_FOR_OPERATOR}),
-    *_rows(E.TIMEOUT, S.ARM, _end(_DISARM)),
     *_rows(E.TIMEOUT, S.TAKE_OFF, _end(_LAND)),
     *_rows(E.TIMEOUT, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
     *_rows(E.TIMEOUT, S.APPROACH, _SEARCH_AGAIN),
@@ -255,7 +259,6 @@ ROWS: Final = (
         _GIVE_UP,
         except_={S.STANDBY: _WAITS_FOR_OPERATOR, **_all(OVER_PAD_OR_DESCENDING, _LOST_WITH_IT)},
     ),
-    *_rows((E.STOP, E.SUSPENDED), S.ARM, _end(_DISARM)),
     *_rows(E.STOP, IN_AIR - OVER_PAD_OR_DESCENDING, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON}),
     *_rows(
         E.SUSPENDED,

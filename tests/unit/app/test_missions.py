@@ -74,6 +74,15 @@ def test_a_vehicle_that_somebody_else_flies_is_ordered_nothing(
     assert last_request(state, authority, offboard=offboard) is None
 
 
+@pytest.mark.parametrize("authority", [Authority.NONE, Authority.PILOT])
+@pytest.mark.parametrize("offboard", [True, False])
+def test_control_that_was_asked_for_and_not_answered_is_returned_if_it_was_obeyed(
+    authority: Authority, offboard: bool
+) -> None:
+    asked = last_request(State.SEARCH, authority, offboard=offboard, asked=ActionKind.TAKE_CONTROL)
+    assert asked is ActionKind.HOLD_IF_OBEYED
+
+
 def test_a_hold_that_was_asked_for_and_not_answered_is_asked_for_once_more() -> None:
     assert last_request(State.ABORT, Authority.RELEASED, asked=ActionKind.HOLD) is ActionKind.HOLD
 

@@ -7,6 +7,7 @@ from companion.base.geometry import ZERO3, Vector3, ned_from_geodetic
 from companion.base.messages import Action, ActionKind, ActionResult, LandedState
 
 HOME = (47.0, 8.0, 400.0)
+GIVES_UP_S = 2.0  # the link, after four tries
 
 
 @dataclass
@@ -32,10 +33,15 @@ class PlanAutopilot:
     rival: tuple[int, int] | None = None
 
     def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
+        """What the link makes of it, as of `time_s`."""
         kind = action.kind
         self.heard.append((now_s, kind))
-        if kind in self.silent or kind is ActionKind.REQUEST_PAD_POSITION:
+        if kind is ActionKind.REQUEST_PAD_POSITION:
             return None
+        if kind is ActionKind.ARM and self.armed:
+            return ActionResult(now_s, kind, False, "armed before it has answered")
+        if kind in self.silent:
+            return ActionResult(now_s + GIVES_UP_S, kind, False, "it does not answer", in_doubt=True)
         if kind is ActionKind.HOLD_IF_OBEYED and self.mode not in {"OFFBOARD", "GUIDED"}:
             return None  # the link waits for a heartbeat that shows it
         if self.refuse.get(kind, 0) > 0:

@@ -124,7 +124,7 @@ class PlanWorld:
         self._heard: AutopilotState | None = None
         self._seen_s = -math.inf
         self._frames: list[tuple[float, Vector3, Vector3, Vector3]] = []  # under way
-        self._results: list[ActionResult] = []
+        self._results: list[ActionResult] = []  # some are still to come
         self._beacon: PadBeacon | None = None
         self._asked_s: float | None = None
         self._contact_s: float | None = None
@@ -144,7 +144,8 @@ class PlanWorld:
     def cycle(self) -> PlanStep:
         self._sense()
         inputs = self.inputs()
-        self._results, self.order = [], None
+        self._results = [result for result in self._results if result not in inputs.results]
+        self.order = None
         step = self.planner.step(inputs, self.now_s)
         flight = self.flight
         if not flight.phases or flight.phase is not step.phase:
@@ -171,7 +172,7 @@ class PlanWorld:
             carried=self._carried(),
             beacon=self._beacon,
             range=self._echo(),
-            results=tuple(self._results),
+            results=tuple(filter(self._has_ended, self._results)),
             stop_requested=self.stop,
             order=self.order,
             camera_problem=self.camera_problem,
@@ -181,6 +182,10 @@ class PlanWorld:
         )
 
     # ------------------------------------------------------------ what the planner is told
+
+    def _has_ended(self, result: ActionResult) -> bool:
+        """Whether the link has told it: what is to arm the vehicle waits no longer once it is armed."""
+        return result.time_s <= self.now_s or (result.kind is ActionKind.ARM and self.autopilot.armed)
 
     def _vehicle(self) -> VehicleState:
         p = add(self.position, self.estimate_off_m)

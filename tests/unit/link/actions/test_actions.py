@@ -284,3 +284,23 @@ def test_what_somebody_else_arms_before_our_request_is_answered_is_no_arming_of_
     [result] = fly(autopilot, story)
     assert (result.accepted, result.text) == (False, "armed before it has answered")
     assert len(autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == asked_first
+    assert result.in_doubt is asked_first  # it may as well have been ours
+
+
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+@pytest.mark.parametrize("kind", [ActionKind.ARM, ActionKind.TAKE_CONTROL, ActionKind.LAND])
+def test_what_left_is_in_doubt_until_the_autopilot_denies_it_or_shows_it(
+    autopilot_kind: AutopilotKind, kind: ActionKind
+) -> None:
+    class Unchanged(FakeAutopilot):
+        def _mode(self, main: int, sub: int) -> str:
+            return self.mode
+
+    number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM if kind is ActionKind.ARM else mavlink.MAV_CMD_DO_SET_MODE
+    doubts = {"unanswered": autopilot_of(autopilot_kind), "denied": autopilot_of(autopilot_kind)}
+    doubts["unanswered"].deaf_to[number], doubts["denied"].refuses[number] = 99, "not now"
+    if kind is ActionKind.TAKE_CONTROL:
+        doubts["not shown"] = Unchanged(autopilot_kind=autopilot_kind, mode=autopilot_of(autopilot_kind).mode)
+    for why, autopilot in doubts.items():
+        [result] = perform(autopilot, Action(kind))
+        assert (result.accepted, result.in_doubt) == (False, why != "denied"), result.text

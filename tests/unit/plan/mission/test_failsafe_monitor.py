@@ -7,7 +7,9 @@ import pytest
 
 from companion.base.geometry import Vector3, add, geodetic_from_ned, quat_from_euler
 from companion.base.messages import (
+    Action,
     ActionKind,
+    ActionResult,
     AutopilotState,
     LinkHealth,
     PadState,
@@ -22,6 +24,7 @@ from companion.plan.events import MissionEvent
 from companion.plan.inputs import ComputerLoad, PlanInputs
 from companion.plan.mission.bounds import Bounds, stopping_m
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
+from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Authority, Circumstances, State
 from companion.plan.mission.table import BY_THE_PAD, FINAL, IN_AIR, StateMachine, follows
 from companion.plan.trajectory.coordinate_frames import along_arc
@@ -44,11 +47,11 @@ def inputs(autopilot: AutopilotState = FLYING, stop: bool = False, vehicle: bool
 
 
 def monitor(
-    state: State = State.APPROACH, authority: Authority = Authority.OURS
+    state: State = State.APPROACH, authority: Authority = Authority.OURS, requests: Requests | None = None
 ) -> tuple[FailsafeMonitor, StateMachine]:
     machine = StateMachine(retries=3)
     machine.state, machine.authority = state, authority
-    return FailsafeMonitor(CONFIG, machine), machine
+    return FailsafeMonitor(CONFIG, machine, requests or Requests(2.0, 5.0, 3)), machine
 
 
 def gravest(
@@ -56,7 +59,7 @@ def gravest(
 ) -> MissionEvent | None:
     """The first event that means something in a state; control is not granted anew."""
     watch, machine = monitor(state, authority)
-    events = [event for event, _ in watch.detect(given, 50.0, control_granted=False)]
+    events = [event for event, _ in watch.detect(given, 50.0)]
     circumstances = Circumstances(machine.authority)
     return next((e for e in events if follows(state, e, circumstances) is not None), None)
 
@@ -72,8 +75,8 @@ def test_a_camera_that_is_turned_is_named_before_the_pad_that_seems_too_fast(
     fast = PadState(50.0, zero, zero, (6.2, 0.0, 0.0), zero, 0.0, 0.0, 0.1, 0.1, seen_time_s=50.0)
     shown = () if turned_deg is None else (differ(Quantity.CAMERA_ROTATION, turned_deg),)
     given = replace(inputs(), pad=fast, comparisons=shown)
-    watch.detect(given, 49.0, control_granted=False)
-    found = watch.detect(given, 50.0, control_granted=False)
+    watch.detect(given, 49.0)
+    found = watch.detect(given, 50.0)
     meant = [e for e, _ in found if follows(machine.state, e, Circumstances(machine.authority)) is not None]
     assert meant[0] is (MissionEvent.PAD_TOO_FAST if flown else MissionEvent.PAD_DISPUTED)
     if not flown:
@@ -97,24 +100,20 @@ def test_what_two_sources_say_is_flown_with_up_to_its_bound(row: SourceRow) -> N
         assert gravest(given, State.SEARCH if away else State.APPROACH) is (None if flown else meant)
         assert not away or all(gravest(given, state) is None for state in BY_THE_PAD)
         if meant is not None and not flown:
-            found = dict(monitor()[0].detect(given, 50.0, control_granted=False))
+            found = dict(monitor()[0].detect(given, 50.0))
             assert shown.first in found[meant]
             assert shown.second in found[meant]
 
 
-def taken_over(
-    watch: FailsafeMonitor, autopilot: AutopilotState, *asked: ActionKind, granted: bool = False
-) -> bool:
-    found = watch.detect(inputs(autopilot), 50.0, control_granted=granted, asked=frozenset(asked))
-    events = [event for event, _ in found]
-    return MissionEvent.TAKEN_OVER in events
+def taken_over(watch: FailsafeMonitor, autopilot: AutopilotState) -> bool:
+    return MissionEvent.TAKEN_OVER in dict(watch.detect(inputs(autopilot), 50.0))
 
 
 @pytest.mark.parametrize("shortage", ["", "too little thrust: it drifts (wind 5.8 m/s2)"])
 def test_an_end_by_time_names_the_wind_that_led_to_it(shortage: str) -> None:
     watch, _ = monitor(State.SEARCH)
     watch.phase_begins(0.0)
-    words = dict(watch.detect(replace(inputs(), shortage=shortage), 100.0, control_granted=True))
+    words = dict(watch.detect(replace(inputs(), shortage=shortage), 100.0))
     assert words[MissionEvent.TIMEOUT] == "60 s in search" + (f"; {shortage}" if shortage else "")
 
 
@@ -152,7 +151,7 @@ def test_a_vehicle_lies_on_its_side_by_both_attitudes_and_at_rest(
         heard = replace(given.autopilot, attitude_time_s=now_s)
         felt_m_s2 = jolts_m_s2 if k % 4 == 0 else falls_m_s2
         fresh = replace(vehicle, time_s=now_s, acceleration_ned_m_s2=(0.0, 0.0, felt_m_s2))
-        found = watch.detect(replace(given, vehicle=fresh, autopilot=heard), now_s, control_granted=False)
+        found = watch.detect(replace(given, vehicle=fresh, autopilot=heard), now_s)
         events = [event for event, _ in found]
     assert (MissionEvent.TIPPED_OVER in events) is lies
     assert not lies or events[0] is MissionEvent.TIPPED_OVER
@@ -163,10 +162,14 @@ def test_all_is_well_is_nothing() -> None:
 
 
 def test_control_is_granted_once_the_autopilot_obeys() -> None:
-    watch, _ = monitor(State.SEARCH, Authority.NONE)
-    for autopilot, granted, found in ((HELD, True, False), (FLYING, False, False), (FLYING, True, True)):
-        events = [event for event, _ in watch.detect(inputs(autopilot), 50.0, control_granted=granted)]
-        assert (MissionEvent.CONTROL_GRANTED in events) is found
+    requests = Requests(2.0, 5.0, 3)
+    watch, _ = monitor(State.SEARCH, Authority.NONE, requests)
+    for granted, autopilot, found in ((False, FLYING, False), (True, HELD, False), (True, FLYING, True)):
+        if granted:
+            requests.ask(Action(ActionKind.TAKE_CONTROL), 50.0)
+            requests.due(50.0)
+            requests.hear((ActionResult(50.0, ActionKind.TAKE_CONTROL, True),), 50.0)
+        assert (MissionEvent.CONTROL_GRANTED in dict(watch.detect(inputs(autopilot), 50.0))) is found
 
 
 def test_with_control_ours_any_other_mode_is_somebody_elses_even_one_that_is_nobodys() -> None:
@@ -176,12 +179,16 @@ def test_with_control_ours_any_other_mode_is_somebody_elses_even_one_that_is_nob
 
 
 def test_returned_to_the_autopilot_the_change_of_mode_that_was_asked_for_is_ours() -> None:
-    watch, machine = monitor()
+    requests = Requests(2.0, 5.0, 3)
+    watch, machine = monitor(requests=requests)
     assert not taken_over(watch, FLYING)
     machine.authority = Authority.RELEASED
-    assert not taken_over(watch, HELD, ActionKind.HOLD)
-    assert taken_over(watch, HELD, ActionKind.LAND)
-    assert taken_over(watch, replace(HELD, mode="AUTO.LAND"), ActionKind.HOLD)
+    requests.ask(Action(ActionKind.HOLD), 50.0)
+    assert not taken_over(watch, HELD)
+    assert taken_over(watch, replace(HELD, mode="AUTO.LAND"))
+    requests.forget()
+    requests.ask(Action(ActionKind.LAND), 50.0)
+    assert taken_over(watch, HELD)
 
 
 def test_what_was_heard_of_the_mode_before_the_link_was_lost_is_old() -> None:
@@ -204,7 +211,7 @@ def test_a_battery_is_critical_on_both_sides_of_its_bound(share: float | None, c
 @pytest.mark.parametrize(("share", "low"), [(None, False), (0.26, False), (0.25, True), (0.1, True)])
 def test_a_battery_is_low_on_both_sides_of_its_bound(share: float | None, low: bool) -> None:
     watch, _ = monitor()
-    found = dict(watch.detect(inputs(replace(FLYING, battery_share=share)), 50.0, control_granted=False))
+    found = dict(watch.detect(inputs(replace(FLYING, battery_share=share)), 50.0))
     assert (MissionEvent.BATTERY_LOW in found) is low
 
 
@@ -284,7 +291,7 @@ def test_a_velocity_that_nobody_knows_ends_a_search_but_not_a_descent() -> None:
 @pytest.mark.parametrize("state", sorted(FINAL))
 def test_a_mission_that_has_ended_detects_nothing_more(state: State) -> None:
     watch, _ = monitor(state)
-    assert watch.detect(inputs(HELD, stop=True), 50.0, control_granted=True) == ()
+    assert watch.detect(inputs(HELD, stop=True), 50.0) == ()
 
 
 def test_time_on_both_sides_of_its_bounds() -> None:
@@ -295,7 +302,7 @@ def test_time_on_both_sides_of_its_bounds() -> None:
         w.now_s = now_s
         given = replace(inputs(), vehicle=w.inputs().vehicle)
         late = {MissionEvent.TIMEOUT, MissionEvent.OVERTIME}
-        return [event for event, _ in watch.detect(given, now_s, control_granted=False) if event in late]
+        return [event for event, _ in watch.detect(given, now_s) if event in late]
 
     # waiting on the ground is not flying: the mission's time counts from take-off
     watch.phase_begins(2.0)
@@ -343,7 +350,7 @@ def test_a_controller_without_a_plan_for_a_second_ends_the_flight_by_setpoints()
     watch, _ = monitor()
     failed, told = replace(inputs(), control_failure="no plan"), []
     for cycle in range(60):
-        found = watch.detect(failed if cycle != 20 else inputs(), 50.0 + cycle / 30.0, control_granted=False)
+        found = watch.detect(failed if cycle != 20 else inputs(), 50.0 + cycle / 30.0)
         told.append(MissionEvent.CONTROL_FAILED in [event for event, _ in found])
     assert told.index(True) == 51  # counted from the last plan on
     assert all(told[51:])
@@ -372,8 +379,8 @@ def test_a_mode_that_follows_setpoints_that_stopped_is_not_the_pilots_alone(
     given = replace(
         inputs(replace(HELD, mode="POSCTL")), computer=held_up, link=LinkHealth(keeps_setpoint_s=1.0)
     )
-    watch.detect(inputs(), 49.0, control_granted=True)
-    found = dict(watch.detect(given, 50.0, control_granted=True))
+    watch.detect(inputs(), 49.0)
+    found = dict(watch.detect(given, 50.0))
     assert found[MissionEvent.TAKEN_OVER] == f"mode POSCTL was not requested{words}"
 
 
@@ -389,9 +396,9 @@ def test_a_mode_that_follows_setpoints_that_stopped_is_not_the_pilots_alone(
 def test_a_failsafe_of_the_autopilots_is_not_called_a_pilot(mode: str, intended: str, words: str) -> None:
     # PX4's CURRENT_MODE tells what was chosen from what a failsafe flies in its place
     watch, _ = monitor()
-    watch.detect(inputs(), 49.0, control_granted=True)
+    watch.detect(inputs(), 49.0)
     flown = replace(HELD, mode=mode, intended_mode=intended)
-    found = dict(watch.detect(inputs(flown), 50.0, control_granted=True))
+    found = dict(watch.detect(inputs(flown), 50.0))
     assert found[MissionEvent.TAKEN_OVER] == words
 
 

@@ -402,3 +402,31 @@ def test_what_was_asked_last_is_what_may_still_be_carried_out() -> None:
     r.due(0.3)
     r.forget()
     assert r.asked_last == {ActionKind.HOLD}
+
+
+@pytest.mark.parametrize(
+    ("answer", "in_doubt"),
+    [
+        (None, True),  # none at all
+        (ActionResult(0.0, ActionKind.GO_TO, False, "no answer", in_doubt=True), True),
+        (ActionResult(0.0, ActionKind.GO_TO, False, "denied"), False),
+    ],
+)
+def test_what_was_given_up_may_still_be_carried_out_unless_it_was_denied(
+    answer: ActionResult | None, in_doubt: bool
+) -> None:
+    r = requests()
+    r.ask(GO, 0.0)
+    assert not r.in_doubt(ActionKind.GO_TO)  # it has not left
+    for k in range(3):
+        assert r.due(10.0 * k) == (GO,)
+        assert r.awaited(ActionKind.GO_TO)
+        given_up = r.hear(() if answer is None else (answer,), 10.0 * k + 6.0)
+        assert (given_up == ()) == (k < 2)
+    assert r.in_doubt(ActionKind.GO_TO) is in_doubt
+    assert r.awaited(ActionKind.GO_TO) is (answer is None)
+    assert r.asked_last == ({ActionKind.GO_TO} if in_doubt else set())
+    r.forget()
+    assert r.asked_last == ({ActionKind.GO_TO} if in_doubt else set())
+    r.forget()
+    assert r.asked_last == set()

@@ -497,6 +497,18 @@ def test_control_whose_answers_are_all_lost_is_returned() -> None:
     assert (w.flight.phase, w.autopilot.mode) == (Phase.ABORT, "LOITER")
 
 
+def test_a_pilots_vehicle_whose_control_was_obeyed_after_it_was_given_up_is_returned() -> None:
+    w = flown_by_a_pilot()
+    w.autopilot.silent = {ActionKind.TAKE_CONTROL}
+    assert order(w) is None
+    w.fly(60.0)
+    assert asked(w).count(ActionKind.TAKE_CONTROL) == MissionConfig().action_attempts
+    assert asked(w)[-1] is ActionKind.HOLD_IF_OBEYED
+    w.autopilot.mode = "OFFBOARD"  # the next heartbeat shows it
+    w.fly(10.0, until=lambda w: not w.planner.waiting)
+    assert w.autopilot.mode == "LOITER"
+
+
 def test_a_link_that_is_lost_before_control_is_ours_ends_the_order() -> None:
     w = flown_by_a_pilot()
     w.autopilot.silent = {ActionKind.TAKE_CONTROL}

@@ -45,14 +45,10 @@ def test_an_autopilot_that_never_arms_ends_it_on_the_ground() -> None:
 @pytest.mark.parametrize(
     ("kind", "mode"), [("px4", "POSCTL"), ("ardupilot", "STABILIZE"), ("ardupilot", "LOITER")]
 )
-@pytest.mark.parametrize("answers", [True, False])
-def test_a_vehicle_that_its_pilot_arms_while_arming_is_refused_is_the_pilots(
-    kind: str, mode: str, answers: bool
-) -> None:
+def test_a_vehicle_that_its_pilot_arms_while_arming_is_refused_is_the_pilots(kind: str, mode: str) -> None:
     w = world()
     w.autopilot.autopilot_kind, w.autopilot.mode = kind, mode
     w.autopilot.refuse[ActionKind.ARM] = 99
-    w.autopilot.silent = set() if answers else {ActionKind.ARM}
     w.fly(12.0)
     w.autopilot.armed = True
     w.fly(10.0)
@@ -62,15 +58,59 @@ def test_a_vehicle_that_its_pilot_arms_while_arming_is_refused_is_the_pilots(
     assert "already armed" in w.flight.told("phase")[-1]
 
 
-def test_as_long_as_arming_is_not_answered_nothing_else_is_asked_and_nobody_is_said_to_have_armed() -> None:
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [("px4", "LOITER"), ("px4", "POSCTL"), ("ardupilot", "GUIDED"), ("ardupilot", "STABILIZE")],
+)
+@pytest.mark.parametrize("after_s", [0.0, 1.0, 3.0, 9.0])
+def test_a_vehicle_that_our_lost_answer_or_its_pilot_has_armed_does_not_take_off_and_is_disarmed(
+    kind: str, mode: str, after_s: float
+) -> None:
     w = world()
+    w.autopilot.autopilot_kind, w.autopilot.mode = kind, mode
     w.autopilot.silent = {ActionKind.ARM}
     w.fly(10.0, until=lambda x: x.autopilot.heard != [])
-    w.autopilot.armed, asked_s = True, w.now_s
+    w.fly(after_s)
+    w.autopilot.armed, armed_s = True, w.now_s
     w.fly(20.0)
-    assert [kind for _, kind in w.autopilot.heard] == [ActionKind.ARM]
+    assert w.now_s - armed_s < 0.1
+    w.fly(1.0, until=lambda x: not x.planner.waiting)
+    assert {kind for _, kind in w.autopilot.heard} == {ActionKind.ARM, ActionKind.DISARM}
     assert w.flight.phase is Phase.ABORT
-    assert w.now_s - asked_s == pytest.approx(MissionConfig().action_answer_s, abs=0.1)
+    assert not w.autopilot.armed
+
+
+@pytest.mark.parametrize("late_s", [1.0, 6.5, 7.9, 11.0])
+def test_as_long_as_arming_is_not_answered_nobody_is_said_to_have_armed_and_a_late_answer_counts(
+    late_s: float,
+) -> None:
+    w = world()
+    arm = w.autopilot.answer
+
+    def late(action: Action, position: Vector3, now_s: float) -> ActionResult | None:
+        result = arm(action, position, now_s)
+        is_arm = action.kind is ActionKind.ARM
+        return replace(result, time_s=now_s + late_s) if result and is_arm else result
+
+    def shows_armed_first(result: ActionResult) -> bool:
+        return result.time_s <= w.now_s
+
+    w._has_ended = shows_armed_first  # type: ignore[method-assign]
+    w.autopilot.answer = late  # type: ignore[method-assign]
+    w.fly(3.0)
+    assert (w.flight.phase, w.autopilot.armed) == (Phase.ARM, True)
+    assert w.fly(120.0).phase is Phase.LANDED
+
+
+def test_control_that_is_obeyed_after_it_was_given_up_is_no_pilots_and_the_hold_goes_on() -> None:
+    w = world()
+    w.autopilot.silent = {ActionKind.TAKE_CONTROL, ActionKind.HOLD}
+    w.fly(90.0)
+    assert w.flight.phase is Phase.ABORT
+    assert [kind for _, kind in w.autopilot.heard][-1] is ActionKind.HOLD
+    w.autopilot.mode, w.autopilot.silent = "OFFBOARD", set()
+    w.fly(10.0, until=lambda w: not w.planner.waiting)
+    assert w.autopilot.mode == "LOITER"
 
 
 def test_an_autopilot_whose_filter_does_not_know_where_it_is_is_not_asked_to_arm() -> None:
@@ -83,7 +123,7 @@ def test_an_autopilot_whose_filter_does_not_know_where_it_is_is_not_asked_to_arm
 
 def test_a_take_off_whose_answers_are_lost_is_landed_not_left_in_the_air() -> None:
     # GIVEN an autopilot that climbs, slowly, and never says that it agreed to
-    w = world(config=PlanConfig(mission=MissionConfig(take_off_height_m=50.0)))
+    w = world(line(0.8, -25.0), config=PlanConfig(mission=MissionConfig(take_off_height_m=50.0)))
     w.autopilot.silent = {ActionKind.TAKE_OFF}
     answer = w.autopilot.answer
 
