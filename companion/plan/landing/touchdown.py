@@ -266,7 +266,9 @@ class TouchdownSequence:
         if believed and not gone:
             return None
         sink_m_s = self._levelling.planned_m_s if sight is None else sight.sink_m_s
-        if not self._has_room(below_m if echo_m is None else echo_m, sink_m_s):
+        # an echo gives no room that the last sightings do not: no rangefinder shows less than its blind zone
+        room_m = below_m if echo_m is None else echo_m if gone else min(echo_m, below_m)
+        if not self._has_room(room_m, sink_m_s):
             return MissionEvent.PAD_GONE, "pad lost, no room to climb"
         self._generator.rise(now_s)
         why = "pad no longer below" if gone else f"not seen for {c.blind_s:.1f} s"
