@@ -108,6 +108,7 @@ class TouchdownSequence:
         self.tilt = TiltPrediction()
         self._levelling = Levelling(config, vehicle, self._leg_std_m)
         self._left, self._lowest_m = False, math.inf
+        self.met: PadState | None = None  # the pad as the feet met it, or as it was seen since
 
     def see(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Take in a cycle's estimates."""
@@ -202,6 +203,7 @@ class TouchdownSequence:
 
     def sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go down at a constant speed, until the feet touch or something is wrong."""
+        self.met = sight
         unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
         silent = unfelt_s > FRESH_S
         if sight is not None and not silent and (slides := self._slides(sight)):
@@ -384,6 +386,7 @@ class TouchdownSequence:
 
     def set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go straight down, without the pad, until something solid is below."""
+        self.met = sight
         vehicle, landed, fresh = inputs.vehicle, inputs.autopilot.landed, imu_fresh(inputs.vehicle, now_s)
         self._levelling.stay(now_s)
         if vehicle is not None:
@@ -416,6 +419,8 @@ class TouchdownSequence:
     ) -> DetectedEvent | None:
         """Stay on the pad; `in_land`: the autopilot lands there."""
         self._stay_down(now_s)
+        if (sight is not None and sight.unseen_s <= UNSEEN_S) or self._standing.doubted:
+            self.met = sight
         if why := self._leaves(sight, inputs, now_s, in_land=in_land):
             self._lift_off(sight, now_s)
             return MissionEvent.OFF_PAD, why
