@@ -22,8 +22,8 @@ and, by the mission's table, the pad is inside the fence until the landing ends.
   2. contact, by its filter, or by echoes alone while the pad is unseen for `blind_s`: CONTACT;
   3. contact begins to show, or the IMU is silent: nothing else counts;
   4. the pad lost: PAD_LOST with room to rise, else PAD_GONE;
-  5. no contact in time: PAD_GONE if a height says that the feet are down, or once no sink has been felt for
-     as long; else, of a vehicle that sinks, MISALIGNED;
+  5. no contact in time: PAD_GONE if a height says that the feet are down, or, over a pad out of view, once no
+     sink has been felt for as long; else, of a vehicle that sinks or hovers in view, MISALIGNED;
   6. too fast, too much tilt or aside, with room: BREAK_OFF;
   7. so far aside that a foot may miss the pad: MISALIGNED, even without room.
 """
@@ -226,7 +226,9 @@ class TouchdownSequence:
         )
         self.contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
         blind = sight is not None and sight.age_s > self._config.blind_s
-        stops = obeys and _stopped(feet, inputs.vehicle if blind else None)
+        # of a pad that is in view the filter knows better whether the feet stand on it
+        seen = sight is not None and sight.unseen_s <= UNSEEN_S
+        stops = obeys and not seen and _stopped(feet, inputs.vehicle if blind else None)
         stands_s = self._held.held_s("stands", stops, feet.felt_s)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         feet_m = self._vehicle.leg_height_m + hangs_m + self._config.contact_margin_m
