@@ -78,6 +78,11 @@ class ShortEchoes:
         elif not self._row or echo.time_s > self._row[-1].time_s:
             self._row.append(echo)
 
+    @property
+    def begun(self) -> bool:
+        """Whether the row has begun."""
+        return bool(self._row)
+
     def standing(self, now_s: float) -> bool:
         """Whether they have shortened by less than half of a sink, over long enough, up to now."""
         if not self._row or now_s - self._row[-1].time_s > FRESH_S:

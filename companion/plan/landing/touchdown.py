@@ -203,7 +203,9 @@ class TouchdownSequence:
 
     def sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go down at a constant speed, until the feet touch or something is wrong."""
-        self.met = sight
+        seen = sight is not None and sight.unseen_s <= UNSEEN_S
+        if seen or not self._short_echoes.begun:  # else the feet may be down: no prediction takes them away
+            self.met = sight
         unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
         silent = unfelt_s > FRESH_S
         if sight is not None and not silent and (slides := self._slides(sight)):
@@ -227,7 +229,6 @@ class TouchdownSequence:
         self.contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
         blind = sight is not None and sight.age_s > self._config.blind_s
         # of a pad that is in view the filter knows better whether the feet stand on it
-        seen = sight is not None and sight.unseen_s <= UNSEEN_S
         stops = obeys and not seen and _stopped(feet, inputs.vehicle if blind else None)
         stands_s = self._held.held_s("stands", stops, feet.felt_s)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)

@@ -12,6 +12,8 @@ from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import not_standing
 from companion.plan.mission.states import State
 from companion.plan.mission.table import TABLE
+from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sinking
+from tests.unit.plan.landing.touchdown_attempt import sight as seen_over
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE, PlanWorld
@@ -106,6 +108,23 @@ def test_where_nothing_has_shown_the_feet_down_it_has_not() -> None:
     assert judged(up, sight(), touched=False) == "contact never confirmed"
     down = replace(up, autopilot=replace(up.autopilot, landed=LandedState.ON_GROUND))
     assert judged(down, sight(), touched=False) == ""
+
+
+@pytest.mark.parametrize("echoes", [True, False])
+def test_without_its_imu_the_feet_met_the_pad_where_it_was_as_their_echoes_became_short(echoes: bool) -> None:
+    """What nothing feels is soon anywhere by its prediction: also a vehicle that has stood for a second."""
+    touchdown = sinking()
+    for k in range(45):
+        std_m = 0.1 + 0.1 * k
+        variances = tuple(tuple(std_m**2 * (row == column) for column in range(6)) for row in range(6))
+        over_m = max(0.0, 0.03 - 0.2 * k * CYCLE_S)
+        unfelt = replace(seen_over(height=LEG_M + over_m, age=0.3 + k * CYCLE_S), covariance=variances)
+        echo_m = LEG_M + over_m - 0.08 if echoes else None
+        if not touchdown.on_pad:
+            touchdown.cycles([unfelt], echo_m=echo_m, imu_age_s=0.4 + k * CYCLE_S)
+    met = touchdown.met
+    assert met is not None
+    assert (judged(standing(), met) == "") == echoes
 
 
 @pytest.mark.parametrize("state", [State.STAND, State.SET_DOWN, State.AUTO_LAND])
