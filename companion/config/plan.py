@@ -140,8 +140,8 @@ class TouchdownConfig(StrictModel):
     changes its course often"""
     overdue_s: float = Field(default=1.5, ge=0.3, le=10.0)
     """If there is no contact within this time after the expected one, the vehicle climbs and tries again; if
-    a height shows that the feet are down, or the vehicle has not sunk for as long, LAND is commanded instead.
-    Raise it for a pad whose height is uncertain"""
+    a height shows that the feet are down, or the vehicle has not sunk for as long over a pad out of view,
+    LAND is commanded instead. Raise it for a pad whose height is uncertain"""
     escape_lateral_m: float = Field(default=0.18, gt=0.0, le=1.0)
     """Lateral offset in the final descent beyond which the vehicle climbs and tries again. Larger is worse:
     a foot may miss the pad. Raise it for a large pad, lower it for a small one"""

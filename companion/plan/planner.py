@@ -296,9 +296,10 @@ class Planner:
 
     def _not_standing(self, inputs: PlanInputs, now_s: float) -> str:
         """Why a vehicle that was landing does not stand upright on the pad; "" when it does."""
-        touched = self._machine.state in ON_PAD or self._steering.touchdown.feet_down(now_s)
+        touchdown = self._steering.touchdown
+        touched = self._machine.state in ON_PAD or touchdown.feet_down(now_s)
         return not_standing(
-            self._pad.sight,
+            touchdown.met,
             inputs,
             self._vehicle,
             self._pad_reach_m,

@@ -78,6 +78,11 @@ class ShortEchoes:
         elif not self._row or echo.time_s > self._row[-1].time_s:
             self._row.append(echo)
 
+    @property
+    def begun(self) -> bool:
+        """Whether the row has begun."""
+        return bool(self._row)
+
     def standing(self, now_s: float) -> bool:
         """Whether they have shortened by less than half of a sink, over long enough, up to now."""
         if not self._row or now_s - self._row[-1].time_s > FRESH_S:
@@ -172,7 +177,7 @@ class LandDetector:
 
 
 def not_standing(
-    sight: PadState | None,
+    met: PadState | None,
     inputs: PlanInputs,
     vehicle: VehicleConfig,
     pad_reach_m: float,
@@ -183,16 +188,20 @@ def not_standing(
 ) -> str:
     """Why it does not stand upright on the pad, in words; "" when it does.
 
-    Both attitudes count, ours and the autopilot's, as long as they are fresh. `pad_reach_m`: from the pad's
-    middle to its corner. `surface_m`: the height over what several echoes agree on. `touched`: the feet have
-    been shown down.
+    Both attitudes count, ours and the autopilot's, as long as they are fresh. `met`: the pad as the feet met
+    it, or as it was seen since. `pad_reach_m`: from the pad's middle to its corner. `surface_m`: the height
+    over what several echoes agree on. `touched`: the feet have been shown down.
     """
     tilt_rad = max(map(tilt_from_quat, _attitudes(inputs, now_s)), default=None)
     if tilt_rad is None:
         return "attitude unknown"
     if tilt_rad > _UPRIGHT_RAD:
         return f"tilted by {math.degrees(tilt_rad):.0f} deg"
-    if why := _elsewhere(sight, surface_m, vehicle.leg_height_m + AWAY_M, pad_reach_m):
+    if met is None or now_s - met.seen_time_s > _ATTITUDE_FRESH_S:
+        deepest_m = vehicle.leg_height_m + AWAY_M
+        if surface_m is not None and surface_m > deepest_m:
+            return f"surface {surface_m:.1f} m below"
+    if why := _elsewhere(met, vehicle.leg_height_m, pad_reach_m):
         return why
     if not touched and inputs.autopilot.landed is not LandedState.ON_GROUND:
         return "contact never confirmed"
@@ -212,14 +221,22 @@ def lying_rad(inputs: PlanInputs, now_s: float) -> float:
     return 0.0 if norm(inputs.vehicle.velocity_ned_m_s) > _DRAGGED_M_S else min(tilts_rad)
 
 
-def _elsewhere(sight: PadState | None, surface_m: float | None, deepest_m: float, pad_reach_m: float) -> str:
-    """Where the pad is instead, by a fresh sight or else by the echoes; "" where neither says so."""
-    if sight is None or sight.age_s > _ATTITUDE_FRESH_S:
-        away = surface_m is not None and surface_m > deepest_m
-        return f"surface {surface_m:.1f} m below" if away else ""
-    if sight.lateral_m > pad_reach_m:
-        return f"{sight.lateral_m:.1f} m beside the pad's centre"
-    return f"the pad is {sight.height_m:.1f} m below" if sight.height_m > deepest_m else ""
+def _elsewhere(met: PadState | None, leg_height_m: float, pad_reach_m: float) -> str:
+    """Where the pad is, or may be, instead of at the feet; "" where its track has it there.
+
+    By its height it is refuted, where that is known. Aside it has to be shown: the root mean square of what
+    the offset may be lies within the reach, or nothing has seen the pad for too long.
+    """
+    if met is None:
+        return "the pad was out of view for too long"
+    deeper_m = met.height_m - leg_height_m
+    if abs(deeper_m) - SIGMA_THRESHOLD * met.height_std_m > AWAY_M:
+        return f"the pad is {abs(met.height_m):.1f} m {'below' if deeper_m > 0.0 else 'above'}"
+    aside_m = math.hypot(met.lateral_m, math.sqrt(2.0) * met.lateral_std_m())
+    if aside_m <= pad_reach_m:
+        return ""
+    unseen = f", unseen for {met.unseen_s:.1f} s" if met.unseen_s > UNSEEN_S else ""
+    return f"{aside_m:.1f} m beside the pad's centre{unseen}"
 
 
 def _attitudes(inputs: PlanInputs, now_s: float) -> Iterator[Quaternion]:

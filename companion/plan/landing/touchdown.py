@@ -22,8 +22,8 @@ and, by the mission's table, the pad is inside the fence until the landing ends.
   2. contact, by its filter, or by echoes alone while the pad is unseen for `blind_s`: CONTACT;
   3. contact begins to show, or the IMU is silent: nothing else counts;
   4. the pad lost: PAD_LOST with room to rise, else PAD_GONE;
-  5. no contact in time: PAD_GONE if a height says that the feet are down, or once no sink has been felt for
-     as long; else, of a vehicle that sinks, MISALIGNED;
+  5. no contact in time: PAD_GONE if a height says that the feet are down, or, over a pad out of view, once no
+     sink has been felt for as long; else, of a vehicle that sinks or hovers in view, MISALIGNED;
   6. too fast, too much tilt or aside, with room: BREAK_OFF;
   7. so far aside that a foot may miss the pad: MISALIGNED, even without room.
 """
@@ -108,6 +108,7 @@ class TouchdownSequence:
         self.tilt = TiltPrediction()
         self._levelling = Levelling(config, vehicle, self._leg_std_m)
         self._left, self._lowest_m = False, math.inf
+        self.met: PadState | None = None  # the pad as the feet met it, or as it was seen since
 
     def see(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Take in a cycle's estimates."""
@@ -202,6 +203,9 @@ class TouchdownSequence:
 
     def sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go down at a constant speed, until the feet touch or something is wrong."""
+        seen = sight is not None and sight.unseen_s <= UNSEEN_S
+        if seen or not self._short_echoes.begun:  # else the feet may be down: no prediction takes them away
+            self.met = sight
         unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
         silent = unfelt_s > FRESH_S
         if sight is not None and not silent and (slides := self._slides(sight)):
@@ -224,7 +228,8 @@ class TouchdownSequence:
         )
         self.contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
         blind = sight is not None and sight.age_s > self._config.blind_s
-        stops = obeys and _stopped(feet, inputs.vehicle if blind else None)
+        # of a pad that is in view the filter knows better whether the feet stand on it
+        stops = obeys and not seen and _stopped(feet, inputs.vehicle if blind else None)
         stands_s = self._held.held_s("stands", stops, feet.felt_s)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         feet_m = self._vehicle.leg_height_m + hangs_m + self._config.contact_margin_m
@@ -266,7 +271,9 @@ class TouchdownSequence:
         if believed and not gone:
             return None
         sink_m_s = self._levelling.planned_m_s if sight is None else sight.sink_m_s
-        if not self._has_room(below_m if echo_m is None else echo_m, sink_m_s):
+        # an echo gives no room that the last sightings do not: no rangefinder shows less than its blind zone
+        room_m = below_m if echo_m is None else echo_m if gone else min(echo_m, below_m)
+        if not self._has_room(room_m, sink_m_s):
             return MissionEvent.PAD_GONE, "pad lost, no room to climb"
         self._generator.rise(now_s)
         why = "pad no longer below" if gone else f"not seen for {c.blind_s:.1f} s"
@@ -382,6 +389,7 @@ class TouchdownSequence:
 
     def set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go straight down, without the pad, until something solid is below."""
+        self.met = sight
         vehicle, landed, fresh = inputs.vehicle, inputs.autopilot.landed, imu_fresh(inputs.vehicle, now_s)
         self._levelling.stay(now_s)
         if vehicle is not None:
@@ -414,6 +422,8 @@ class TouchdownSequence:
     ) -> DetectedEvent | None:
         """Stay on the pad; `in_land`: the autopilot lands there."""
         self._stay_down(now_s)
+        if (sight is not None and sight.unseen_s <= UNSEEN_S) or self._standing.doubted:
+            self.met = sight
         if why := self._leaves(sight, inputs, now_s, in_land=in_land):
             self._lift_off(sight, now_s)
             return MissionEvent.OFF_PAD, why

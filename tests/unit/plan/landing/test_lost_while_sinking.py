@@ -7,6 +7,7 @@ import pytest
 from companion.base.geometry import Vector3
 from companion.base.messages import ActionKind, Phase
 from companion.plan.events import MissionEvent
+from companion.plan.mission.states import State
 from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sight, sinking
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import line, still
@@ -46,6 +47,22 @@ def test_one_far_echo_and_a_lost_one_after_it_are_no_pad_that_is_gone() -> None:
     # WHEN more of them come THEN it is left
     found = touchdown.cycles([unseen] * 8, echo_m=far_m)
     assert found[:1] == [MissionEvent.PAD_LOST]
+
+
+@pytest.mark.parametrize(("blind_zone_m", "lifts"), [(0.22, False), (0.6, True)])
+def test_an_echo_gives_no_room_where_the_pad_was_seen_to_be_at_the_feet(
+    blind_zone_m: float, lifts: bool
+) -> None:
+    """GIVEN a rangefinder that shows 22 cm for all that is nearer, and a pad out of view from 20 cm up
+    WHEN the vehicle stands THEN it is not lifted off, unless the echoes show that the pad is gone."""
+    touchdown, found = sinking(), list[MissionEvent]()
+    for k in range(50):
+        over_m = max(0.0, 0.2 - 0.2 * k * CYCLE_S)
+        unseen = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.2 * (over_m > 0.0)), age=k * CYCLE_S)
+        if touchdown.state is State.SINK:
+            found += touchdown.cycles([unseen], echo_m=max(blind_zone_m, LEG_M + over_m - 0.08))
+    assert (found[:1] == [MissionEvent.PAD_LOST]) == lifts
+    assert (touchdown.state is State.SET_DOWN) != lifts
 
 
 def fall_away(w: PlanWorld) -> None:

@@ -296,6 +296,18 @@ def test_what_has_not_sunk_for_as_long_as_the_contact_is_overdue_stands_and_is_n
     assert touchdown.now_s == pytest.approx(MISSED_S, abs=0.25)
 
 
+def test_what_hovers_a_hands_breadth_over_a_pad_in_view_is_lifted_off_and_not_landed_in_land() -> None:
+    """An updraft holds it 8 cm up, where it bobs by 8 mm: what stands does not."""
+    touchdown, found, swing = sinking(), list[MissionEvent](), math.tau * 1.5
+    touchdown.now_s = 0.2
+    while not found and touchdown.state is State.SINK and touchdown.now_s < 10.0:
+        turned = swing * touchdown.now_s
+        hovers = 0.085 + 0.008 * math.cos(turned), 0.008 * swing * math.sin(turned)
+        over_m, sink_m_s = max(hovers, (0.43 - 0.2 * touchdown.now_s, 0.2))
+        found = touchdown.cycles([sight(height=LEG_M + over_m, velocity=(0.0, 0.0, sink_m_s))], imu_age_s=0.0)
+    assert found == [MissionEvent.MISALIGNED]
+
+
 @pytest.mark.parametrize(("age_s", "contact"), [(0.3, True), (1.2, True), (2.0, False)])
 def test_where_no_echo_comes_what_was_seen_lately_shows_where_the_feet_may_meet_the_pad(
     age_s: float, contact: bool

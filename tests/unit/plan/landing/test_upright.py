@@ -5,16 +5,18 @@ from dataclasses import replace
 
 import pytest
 
-from companion.base.geometry import IDENTITY, quat_from_euler
+from companion.base.geometry import IDENTITY, Vector3, quat_from_euler
 from companion.base.messages import LandedState, PadState, Phase
 from companion.plan.events import MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import not_standing
 from companion.plan.mission.states import State
 from companion.plan.mission.table import TABLE
+from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sinking
+from tests.unit.plan.landing.touchdown_attempt import sight as seen_over
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still
-from tests.unit.plan.plan_harness import VEHICLE, PlanWorld
+from tests.unit.plan.plan_harness import LEG_M, VEHICLE, PlanWorld
 
 REACH_M = 0.7
 ZERO = (0.0, 0.0, 0.0)
@@ -26,10 +28,15 @@ def standing() -> PlanInputs:
     return w.inputs()
 
 
-def sight(aside_m: float = 0.1, below_m: float = VEHICLE.leg_height_m, age_s: float = 0.1) -> PadState:
+def sight(
+    aside_m: float = 0.1, below_m: float = VEHICLE.leg_height_m, age_s: float = 0.1, std_m: float = 0.01
+) -> PadState:
+    """As the feet met it, up to a time before the verdict."""
+    variances = tuple(tuple(std_m**2 * (row == column) for column in range(6)) for row in range(6))
     return PadState(
-        50.0, (aside_m, 0.0, below_m), ZERO, ZERO, ZERO, 0.0, 0.0, 0.1, 0.1, seen_time_s=50.0 - age_s
-    )
+        50.0, (aside_m, 0.0, below_m), ZERO, ZERO, ZERO, 0.0, 0.0, 0.1, 0.1,
+        seen_time_s=50.0 - age_s, covariance=variances,
+    )  # fmt: skip
 
 
 def judged(
@@ -51,7 +58,7 @@ def tilted(inputs: PlanInputs, ours_deg: float, theirs_deg: float) -> PlanInputs
 def test_upright_on_the_pad_it_has_landed() -> None:
     assert judged(standing(), sight()) == ""
     assert judged(tilted(standing(), 12.0, 12.0), sight()) == ""  # on a deck that swings
-    assert judged(standing(), None) == ""  # the pad is not seen from so near
+    assert judged(standing(), sight(age_s=5.0)) == ""  # the pad is not seen from so near
 
 
 @pytest.mark.parametrize(("ours_deg", "theirs_deg"), [(40.0, 40.0), (0.0, 90.0), (170.0, 0.0)])
@@ -72,9 +79,27 @@ def test_without_any_attitude_it_is_not_known_to_have() -> None:
 def test_beside_the_pad_or_above_it_it_has_not() -> None:
     assert judged(standing(), sight(aside_m=0.9)) == "0.9 m beside the pad's centre"
     assert judged(standing(), sight(below_m=1.4)) == "the pad is 1.4 m below"
-    assert judged(standing(), None, surface_m=1.4) == "surface 1.4 m below"
+    assert judged(standing(), sight(below_m=-1.4)) == "the pad is 1.4 m above"
+    assert judged(standing(), sight(age_s=5.0), surface_m=1.4) == "surface 1.4 m below"
     assert judged(standing(), sight(), surface_m=1.4) == ""  # the pad is seen at the feet
-    assert judged(standing(), sight(aside_m=0.9, age_s=1.5)) == ""  # from too long ago
+
+
+@pytest.mark.parametrize(
+    ("unseen", "why"),
+    [
+        pytest.param(sight(age_s=2.0, std_m=0.3), "", id="rather at the feet"),
+        pytest.param(
+            sight(age_s=4.0, std_m=0.6), "0.9 m beside the pad's centre, unseen for 4.0 s", id="may be"
+        ),
+        pytest.param(sight(0.9, age_s=1.5), "0.9 m beside the pad's centre, unseen for 1.5 s", id="drove on"),
+        pytest.param(sight(below_m=-1.4, age_s=2.0, std_m=0.45), "", id="its height is not known so well"),
+        pytest.param(None, "the pad was out of view for too long", id="long"),
+    ],
+)
+def test_a_pad_that_the_feet_met_unseen_is_where_its_track_has_it_by_what_that_knows(
+    unseen: PadState | None, why: str
+) -> None:
+    assert judged(standing(), unseen) == why
 
 
 def test_where_nothing_has_shown_the_feet_down_it_has_not() -> None:
@@ -85,10 +110,54 @@ def test_where_nothing_has_shown_the_feet_down_it_has_not() -> None:
     assert judged(down, sight(), touched=False) == ""
 
 
+@pytest.mark.parametrize("echoes", [True, False])
+def test_without_its_imu_the_feet_met_the_pad_where_it_was_as_their_echoes_became_short(echoes: bool) -> None:
+    """What nothing feels is soon anywhere by its prediction: also a vehicle that has stood for a second."""
+    touchdown = sinking()
+    for k in range(45):
+        std_m = 0.1 + 0.1 * k
+        variances = tuple(tuple(std_m**2 * (row == column) for column in range(6)) for row in range(6))
+        over_m = max(0.0, 0.03 - 0.2 * k * CYCLE_S)
+        unfelt = replace(seen_over(height=LEG_M + over_m, age=0.3 + k * CYCLE_S), covariance=variances)
+        echo_m = LEG_M + over_m - 0.08 if echoes else None
+        if not touchdown.on_pad:
+            touchdown.cycles([unfelt], echo_m=echo_m, imu_age_s=0.4 + k * CYCLE_S)
+    met = touchdown.met
+    assert met is not None
+    assert (judged(standing(), met) == "") == echoes
+
+
 @pytest.mark.parametrize("state", [State.STAND, State.SET_DOWN, State.AUTO_LAND])
 def test_the_table_ends_in_abort_there(state: State) -> None:
     branches = TABLE[state, MissionEvent.DISARMED]
     assert (branches[0].to, branches[0].actions) == (State.ABORT, ())
+
+
+@pytest.mark.parametrize(
+    ("surface_m", "leaves_at_m_s", "end"),
+    [
+        pytest.param(0.0, 0.0, "landed: disarmed", id="still"),
+        pytest.param(3.0, 12.0, "no landing: the pad is 3.1 m above", id="on a truck that drives off"),
+    ],
+)
+def test_a_pad_that_is_unseen_to_the_end_is_stood_on_where_its_track_has_it_at_the_contact(
+    surface_m: float, leaves_at_m_s: float, end: str
+) -> None:
+    # GIVEN no echo, and a camera that sees nothing from 13 cm over the pad on
+    at_rest, gone_s = still(), [math.inf]
+
+    def pad(t: float) -> Vector3:
+        north, east, down = at_rest(t)
+        return north + leaves_at_m_s * max(0.0, t - gone_s[0]), east, down - surface_m
+
+    w = world(pad)
+    w.range_lost = True
+    w.fly(60.0, until=lambda w: bool(w.flight.told("commit")) and w.flight.heights_m[-1] < LEG_M + 0.13)
+    w.blind, gone_s[0] = lambda _t, _height: True, w.now_s
+    # WHEN the vehicle stands with its motors off THEN that is a landing on the pad, or told not to be one
+    w.fly(40.0)
+    assert not w.autopilot.armed
+    assert end in w.flight.told("phase")[-1]
 
 
 def test_a_vehicle_that_topples_as_it_stands_is_no_landing_and_the_reason_is_said() -> None:

@@ -75,6 +75,10 @@ class Attempt:
     def unconfirmed(self) -> bool:
         return self._sequence.unconfirmed(self._seen)
 
+    @property
+    def met(self) -> PadState | None:
+        return self._sequence.met
+
     def feet_down(self, now_s: float) -> bool:
         return self._sequence.feet_down(now_s)
 
