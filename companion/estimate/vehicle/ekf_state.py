@@ -19,7 +19,7 @@ from companion.base.geometry import EYE3, FloatArray, Quaternion, euler_from_qua
 from companion.base.late_import import imported_late
 from companion.config import EkfConfig
 from companion.estimate.gating import Gate, fits
-from companion.estimate.motion import LONGEST_STEP_S, unseen_velocity_m2_s2
+from companion.estimate.motion import LONGEST_STEP_S, unseen_turn_rad2, unseen_velocity_m2_s2
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_start import (
     TINY_VARIANCE,
@@ -38,8 +38,6 @@ with imported_late("filterpy.stats", "filterpy.discrete_bayes"):
     from filterpy.kalman import ExtendedKalmanFilter
 
 FIXES: Final = frozenset({"gps_velocity", "gps_position"})
-UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
-UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
 EYE4: Final = np.eye(4)
 EYE: Final = np.eye(model.STATES)
 EYE.flags.writeable = False
@@ -173,15 +171,13 @@ class EkfState:
         a second. Of a longer step than any in a healthy stream see `unseen_velocity_m2_s2`.
         """
         config = self._config
-        unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
         p, q, r = noise.lasting_rate_rad_s
         r = 0.0 if self.has_position else r  # a yaw's are in `yaw_error`
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + noise.rate_density_rad2_s * dt_s
         turn += GYRO_SCALE_ERROR**2 * (p * p + q * q + r * r) * dt_s
         velocity = self.force_density_m2_s3 * dt_s
         velocity += noise.force_error_m_s2**2 * FORCE_ERROR_S * dt_s
-        rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
-        return turn + (rate * unseen_s) ** 2, velocity + unseen_velocity_m2_s2(dt_s)
+        return turn + unseen_turn_rad2(dt_s), velocity + unseen_velocity_m2_s2(dt_s)
 
     def _update(
         self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, gate_noise: FloatArray | None

@@ -46,7 +46,7 @@ from companion.estimate.ahrs.orientation import (
 from companion.estimate.gating import Gate, Timeline
 from companion.estimate.motion import PREDICTED_S, MotionHistory, VehiclePlace
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.autopilot_attitudes import GAP_S, AutopilotAttitudes, OwnAttitude
+from companion.estimate.vehicle.autopilot_attitudes import AutopilotAttitudes, OwnAttitude
 from companion.estimate.vehicle.ekf import GPS_TIMEOUT_S, VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
 from companion.estimate.vehicle.ekf_start import start_state
@@ -111,7 +111,7 @@ class VehicleEstimator:
         self._strapdown = Strapdown()
         self._span_s: float | None = None  # of the samples in it, by their own clock
         self._fields.start_over()
-        self._attitudes = AutopilotAttitudes(self.motion)
+        self._attitudes = AutopilotAttitudes(self.motion, self.newest_s)
 
     # ------------------------------------------------------------ inputs
 
@@ -143,8 +143,6 @@ class VehicleEstimator:
                 self._still_block = block.still
                 self._resting &= block.still
             self._span_s = None if sample.interval_s is None else (self._span_s or 0.0) + dt_s
-            if dt_s > GAP_S:
-                self._attitudes.reset.note_gap(sample.time_s, dt_s)
             self._move(sample, dt_s)
             self._collect(sample, dt_s)
         if block is not None and self._aligner is not None:
@@ -221,7 +219,7 @@ class VehicleEstimator:
         if ekf.x is before:
             return  # it has been refused
         if isinstance(step, AttitudeStep):
-            self.motion.turn(found.since_s, step.turn)
+            self.motion.turn(found.since_s, found.time_s, step.turn)
             inertial.attitude = quat_multiply(step.turn, inertial.attitude)  # as the history
             self.corrections += (found.words,)
         self._read_ekf()
