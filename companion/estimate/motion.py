@@ -39,7 +39,7 @@ UNSEEN_ACCELERATION_M_S2: Final = 4.0  # how hard the vehicle may accelerate in 
 UNSEEN_JERK_M_S3: Final = 6.0  # and how fast that changes
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast it may turn there
 UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
-WRONG_FOR_S: Final = 0.2  # an attitude, before it is corrected
+WRONG_FOR_S: Final = 0.2  # an attitude, before it is corrected: a manoeuvre that is timed wrongly is over
 
 
 class VehiclePlace(NamedTuple):

@@ -35,7 +35,7 @@ from companion.base.geometry import (
     quat_multiply,
 )
 from companion.base.messages import AutopilotAttitude
-from companion.estimate.motion import MotionHistory
+from companion.estimate.motion import WRONG_FOR_S, MotionHistory
 from companion.estimate.vehicle.attitude_check import AttitudeCheck, heading_between
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, SecondAttitudeStep, at_rest
 from companion.estimate.vehicle.gyro_bias_check import BiasStep, SecondGyro
@@ -46,7 +46,6 @@ SURELY_RAD: Final = DEVIATIONS * THEIR_STD_RAD
 LEAST_APART_RAD: Final = math.radians(5.0)  # in a steady stream
 AFTER_GAP_RAD: Final = math.radians(1.5)
 MISTIMED_S: Final = 0.03  # their reports and our samples: a turn makes that much of difference
-PERSISTS_S: Final = 0.2
 REPORTS_KEPT: Final = 50
 
 
@@ -143,7 +142,7 @@ class AttitudeReset:
         else:
             since_s = report.time_s if wrong_since_s is None else wrong_since_s
             differs = tilt_rad > max(limit_rad, LEAST_APART_RAD)
-            wrong, why = differs and report.time_s - since_s >= PERSISTS_S, "its horizon differs"
+            wrong, why = differs and report.time_s - since_s >= WRONG_FOR_S, "its horizon differs"
             if differs and not wrong:
                 self._wrong_since_s = since_s
         if not wrong:
