@@ -31,9 +31,9 @@ from companion.base.geometry import (
     scale,
     subtract,
 )
+from companion.base.messages import IMU_PREDICTED_S
 
 LEVER_STD_M: Final = 0.05  # of the IMU's place as told, an axis: people put boards up to 10 cm off
-PREDICTED_S = 0.1  # beyond the newest sample an acceleration goes on for so long, and then there is none
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_ACCELERATION_M_S2: Final = 4.0  # how hard the vehicle may accelerate in a gap of the IMU's stream
 UNSEEN_JERK_M_S3: Final = 6.0  # and how fast that changes
@@ -270,7 +270,7 @@ class MotionHistory:
         """Velocity and position integrals at a time; beyond the newest sample an acceleration goes on."""
         if not self._times_s:
             return ZERO3, ZERO3
-        known_s = self._times_s[-1] + PREDICTED_S
+        known_s = self._times_s[-1] + IMU_PREDICTED_S
         if time_s > known_s:
             speed, (x, y, z) = self._at(known_s)
             dt = time_s - known_s

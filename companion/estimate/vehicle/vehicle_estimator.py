@@ -27,6 +27,7 @@ from companion.base.geometry import (
 )
 from companion.base.magnetic_field import field_here
 from companion.base.messages import (
+    IMU_PREDICTED_S,
     IMU_TIMEOUT_S,
     AutopilotAttitude,
     GpsFix,
@@ -44,7 +45,7 @@ from companion.estimate.ahrs.orientation import (
     tilt_noise_rad,
 )
 from companion.estimate.gating import Gate, Timeline
-from companion.estimate.motion import PREDICTED_S, MotionHistory, VehiclePlace
+from companion.estimate.motion import MotionHistory, VehiclePlace
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.autopilot_attitudes import AutopilotAttitudes, OwnAttitude
 from companion.estimate.vehicle.ekf import GPS_TIMEOUT_S, VehicleEkf
@@ -290,7 +291,7 @@ class VehicleEstimator:
             time_s=now_s,
             attitude=self._attitude_near(max(now_s, self.newest_s)),
             # an older sample's rate says nothing any more
-            rate_body_rad_s=inertial.rate_body_rad_s if imu_age_s <= PREDICTED_S else ZERO3,
+            rate_body_rad_s=inertial.rate_body_rad_s if imu_age_s <= IMU_PREDICTED_S else ZERO3,
             position_ned_m=add(position, place),
             velocity_ned_m_s=add(velocity, speed),
             acceleration_ned_m_s2=inertial.acceleration_ned_m_s2,
@@ -410,7 +411,7 @@ class VehicleEstimator:
 
     def _attitude_near(self, time_s: float) -> Quaternion:
         """Attitude at a time near the newest sample's; further on its rotation is unknown."""
-        return self._inertial.turned(self._inertial.attitude, min(time_s - self.newest_s, PREDICTED_S))
+        return self._inertial.turned(self._inertial.attitude, min(time_s - self.newest_s, IMU_PREDICTED_S))
 
     def _orientation_at(self, time_s: float) -> tuple[Quaternion | None, float, float]:
         """The pre-filter's attitude, and the noise (rad) of its tilt and heading; no attitude out of turn."""
