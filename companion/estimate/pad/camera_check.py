@@ -59,6 +59,7 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import Quantity, SourceComparison
+from companion.config.estimate import PadFilterConfig
 from companion.estimate.motion import MotionHistory, rotation_lever
 from companion.estimate.pad.pad_types import HIGHEST_ECHO_M, HeightMeasurement
 
@@ -73,7 +74,6 @@ NOISE_M: Final = 0.005  # of a sighting's, at least: calibration errors, which t
 # of the attitude, from one second to the next, besides the noise of the gyroscope
 NOISE_RAD: Final = 0.003
 ATTITUDE_WANDERS_S: Final = 1.0
-ECHO_NOISE_M: Final = 0.03
 SQUARE: Final = 1.1  # so near to the least noise of an echo it comes square to the board
 ECHO_SCALE_STD: Final = 0.003  # the speed of sound, which does not average out
 # what a builder measures: how the camera is turned, and its focal length, as a share
@@ -109,8 +109,13 @@ class CameraCheck:
         delay_std_s: float,
         board_half_width_m: float,
         optical_axis_body: Vector3 = (0.0, 0.0, 1.0),
+        echo_noise_m: float = PadFilterConfig().range_noise_m,
     ) -> None:
-        """`delay_std_s`: how far off the stamps may be before anything is known (s); 0: not at all."""
+        """`delay_std_s`: how far off the stamps may be before anything is known (s); 0: not at all.
+
+        `echo_noise_m` is an echo's that comes square to the board.
+        """
+        self._echo_noise_m = echo_noise_m
         self._axis = np.array(optical_axis_body)
         self._motion, self._half_width_m = motion, board_half_width_m
         self._delay_walk = DELAY_WALK_S_RTS if delay_std_s > 0.0 else 0.0
@@ -169,7 +174,7 @@ class CameraCheck:
 
     def take_echo(self, time_s: float, echo: HeightMeasurement) -> None:
         """Take the height of the sensor over what is below it; aslant the beam's nearest point is another."""
-        if not LOWEST_ECHO_M <= echo.height_m <= HIGHEST_ECHO_M or echo.noise_m > SQUARE * ECHO_NOISE_M:
+        if not LOWEST_ECHO_M <= echo.height_m <= HIGHEST_ECHO_M or echo.noise_m > SQUARE * self._echo_noise_m:
             return
         self._echoes.append((time_s, echo.height_m + echo.sensor_offset_ned_m[2]))
 
@@ -307,7 +312,7 @@ class CameraCheck:
         self._heights_m = (self._time_s, down, height_m)
         H = np.zeros((1, _STATES))
         H[0, 2], H[0, _K], H[0, _R] = 1.0, -height_m, self._down_body
-        variance = 0.5 * math.pi / MEDIAN_OF * (float(self._x[_K]) * ECHO_NOISE_M) ** 2
+        variance = 0.5 * math.pi / MEDIAN_OF * (float(self._x[_K]) * self._echo_noise_m) ** 2
         self._update(-H @ self._x, H, np.array([[variance]]))
         self._heard = True
 
@@ -369,6 +374,6 @@ class CameraCheck:
                 f"{seen_m:.2f} m",
                 f"{heard_m:.2f} m",
                 difference=abs(seen_m - heard_m),
-                std=ECHO_NOISE_M / math.sqrt(MEDIAN_OF),
+                std=self._echo_noise_m / math.sqrt(MEDIAN_OF),
             ),
         )
