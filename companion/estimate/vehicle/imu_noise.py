@@ -29,7 +29,6 @@ BLOCK_S: Final = 0.02  # motion of the vehicle is slower, vibration that matters
 BLOCK_MEMORY_S: Final = 1.0
 LASTING_S: Final = 2.0
 GAP_STEPS: Final = 3.0  # so many times the step before
-LARGEST_ERROR_M_S2: Final = 3.0
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
 _THIRD_DIFFERENCE: Final = (1.0, -3.0, 3.0, -1.0)
 _ForceAndRate = tuple[float, float, float, float, float, float]
@@ -85,7 +84,7 @@ class VibrationMonitor:
 
     def error_m_s2(self, bound_m_s2: float, share: float) -> float:
         """By how much the mean may be off: a share of what exceeds the bound."""
-        return min(max(share * (self.rms_m_s2 - bound_m_s2), 0.0), LARGEST_ERROR_M_S2)
+        return max(share * (self.rms_m_s2 - bound_m_s2), 0.0)
 
 
 class SlowNoise:
