@@ -41,6 +41,7 @@ from companion.estimate.gating import Gate, normalised_innovation_squared
 from companion.estimate.motion import misled_velocity_m_s
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_inputs import (
+    UNKNOWN_RAD,
     AttitudeStep,
     EkfInput,
     GpsStep,
@@ -55,7 +56,6 @@ from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import YawError
 
 MAG_DIP_NOISE_UT: Final = 50.0  # of the field in its own vertical plane, which gives no heading: all of it
-UNKNOWN_HEADING_RAD: Final = math.pi
 MAG_REFUSED_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
 WRONG_HEADING_RAD: Final = math.radians(30.0)  # by so much
 GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 5 Hz
@@ -196,13 +196,13 @@ class VehicleEkf(EkfState):
         """Variance (3, 3) about NED axes: a pre-filter's heading is the field's, which counts by itself; of
         one that is refused it tells nothing either."""
         counted = self.gates.get("mag", Gate()).accepted
-        return model.diagonal(0.0, 0.0, UNKNOWN_HEADING_RAD**2 if counted else 0.0)
+        return model.diagonal(0.0, 0.0, UNKNOWN_RAD**2 if counted else 0.0)
 
     def _unjudged(self) -> FloatArray:
         """Variance (3, 3) about NED axes of what the pre-filter cannot judge: while fixes hold the heading, a
         compass that keeps to one side is its own matter. A steel deck turns it so, within size and dip."""
         known = self._fixes_fit and self.gates.get("mag", Gate()).accepted
-        return model.diagonal(0.0, 0.0, UNKNOWN_HEADING_RAD**2 if known else 0.0)
+        return model.diagonal(0.0, 0.0, UNKNOWN_RAD**2 if known else 0.0)
 
     @property
     def _fixes_fit(self) -> bool:
