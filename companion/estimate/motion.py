@@ -39,6 +39,7 @@ UNSEEN_ACCELERATION_M_S2: Final = 4.0  # how hard the vehicle may accelerate in 
 UNSEEN_JERK_M_S3: Final = 6.0  # and how fast that changes
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast it may turn there
 UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
+RATE_SPAN_S: Final = 0.01  # a rate of turn is the mean of so long: two samples at 200 Hz
 WRONG_FOR_S: Final = 0.2  # an attitude, before it is corrected: a manoeuvre that is timed wrongly is over
 
 
@@ -228,7 +229,7 @@ class MotionHistory:
             return 0.0
         return 0.5 * norm(turn_between(before, after))
 
-    def rate_body_rad_s(self, time_s: float, span_s: float) -> Vector3:
+    def rate_body_rad_s(self, time_s: float, span_s: float = RATE_SPAN_S) -> Vector3:
         """Mean rate of turn (rad/s, body axes) over `span_s` about a time, or the last that is known."""
         newest_s = self.newest_s
         end_s = time_s + 0.5 * span_s if newest_s is None else min(time_s + 0.5 * span_s, newest_s)

@@ -60,7 +60,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import Quantity, SourceComparison
 from companion.config.estimate import PadFilterConfig
-from companion.estimate.motion import MotionHistory, rotation_lever
+from companion.estimate.motion import RATE_SPAN_S, MotionHistory, rotation_lever
 from companion.estimate.pad.pad_types import HIGHEST_ECHO_M, HeightMeasurement
 
 SCALE_STD: Final = 0.3  # before anything is known
@@ -82,7 +82,6 @@ FOCAL_STD: Final = 0.01
 # lower, an offset of the echoes of some centimetres, which never averages out, would pass for a wrong scale
 LOWEST_ECHO_M: Final = 1.0
 ECHO_APART_S: Final = 0.05  # an echo and a sighting of one moment
-RATE_SPAN_S: Final = 0.01
 LONGEST_GAP_S: Final = 1.0  # between sightings; then the pad's motion begins again, scale and delay stay
 OUTLIER: Final = 5.0
 MEDIAN_OF: Final = 7  # echoes
@@ -208,7 +207,7 @@ class CameraCheck:
         newest_s = self._motion.newest_s
         end_s = min(time_s + 0.5 * RATE_SPAN_S, math.inf if newest_s is None else newest_s)
         corrected = self._motion.corrected(end_s - RATE_SPAN_S, end_s)
-        rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s, RATE_SPAN_S))
+        rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s))
         return subtract(rate, scale(corrected, 1.0 / RATE_SPAN_S))
 
     def _body(self, attitude: Quaternion, pad_body_m: Vector3) -> FloatArray:
