@@ -38,14 +38,13 @@ from companion.base.messages import AutopilotAttitude
 from companion.estimate.motion import WRONG_FOR_S, MotionHistory
 from companion.estimate.vehicle.attitude_check import AttitudeCheck, heading_between
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, SecondAttitudeStep, at_rest
-from companion.estimate.vehicle.gyro_bias_check import BiasStep, SecondGyro
+from companion.estimate.vehicle.gyro_bias_check import WRONG_TIME_S, BiasStep, SecondGyro
 
 THEIR_STD_RAD: Final = math.radians(1.0)  # of their horizon, in flight
 DEVIATIONS: Final = 4.0
 SURELY_RAD: Final = DEVIATIONS * THEIR_STD_RAD
 LEAST_APART_RAD: Final = math.radians(5.0)  # in a steady stream
 AFTER_GAP_RAD: Final = math.radians(1.5)
-MISTIMED_S: Final = 0.03  # their reports and our samples: a turn makes that much of difference
 REPORTS_KEPT: Final = 50
 
 
@@ -128,7 +127,7 @@ class AttitudeReset:
         off_rad = math.remainder(now_rad - ahead_rad, math.tau)
         north, east, down = own.covariance_rad2.diagonal().tolist()
         std_rad = math.sqrt(north + east)
-        limit_rad = DEVIATIONS * math.hypot(std_rad, THEIR_STD_RAD) + MISTIMED_S * own.turning_rad_s
+        limit_rad = DEVIATIONS * math.hypot(std_rad, THEIR_STD_RAD) + WRONG_TIME_S * own.turning_rad_s
         wrong_since_s, self._wrong_since_s = self._wrong_since_s, None
         compared_s, self._compared_s = self._compared_s, max(self._compared_s, report.time_s)
         missing_s = self._motion.missing_s(compared_s, report.time_s)

@@ -42,7 +42,9 @@ LONGEST_GAP_S: Final = 0.6  # in the autopilot's reports
 STEP_RAD_S: Final = math.radians(0.7)  # from the present bias, to be a step
 AGREE_RAD_S: Final = math.radians(0.5)  # of two windows, one after the other
 LARGEST_RAD_S: Final = math.radians(5.0)  # more is no bias
-WRONG_TIME_S: Final = 0.05  # of the autopilot's reports
+WRONG_TIME_S: Final = (
+    0.05  # of the autopilot's reports, beside our samples: a turn makes that much of difference
+)
 SKEW: Final = 0.02  # of a turn: how far the two IMUs may lie askew (rad), and differ in scale
 LEAST_SHARE: Final = 0.25  # of a window's change, in each of its strides
 
