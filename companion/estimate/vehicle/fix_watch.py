@@ -35,7 +35,7 @@ FORCE_ERROR_S: Final = 1.0  # an erroneous force stays off for so long
 DRIFT_S: Final = 0.2  # a force that is off leads the velocity away for so long before a fix shows it
 MOST_REFUSED: Final = 5  # in a row; a jump needs more to show its direction
 HEADING_S: Final = 5.0  # changes of velocity count for the heading that it has had for so long
-LONGEST_CHANGE_S: Final = 1.0  # between two fixes
+FRESH_S: Final = 1.0  # a fix: receivers give one a second at least
 DRIFT_SPAN_S: Final = 2.0  # a force that is off for a second or so shows by then, beside a receiver's noise
 DRIFT_SPANS: Final = 10  # the fading mean goes back so far
 
@@ -122,7 +122,7 @@ class FixWatch(NamedTuple):
         force for a second or so.
         """
         last, elapsed_s = self.last, math.inf if self.last is None else fix.time_s - self.last.time_s
-        if last is None or not 0.0 < elapsed_s <= LONGEST_CHANGE_S:
+        if last is None or not 0.0 < elapsed_s <= FRESH_S:
             drift = self.drift.interrupted()
             return self._replace(last=fix, turn_information=0.0, informed_turn=0.0, drift=drift)
         north, east, _ = ours = subtract(predicted_m_s, last.estimated_m_s)
