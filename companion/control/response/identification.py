@@ -23,6 +23,7 @@ import scipy.linalg
 import scipy.optimize
 
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
+from companion.control.response.flight_model import SHORTEST_LAG_S
 
 WINDOW_S: Final = 1.0
 FEWEST_WINDOWS: Final = 10
@@ -30,7 +31,7 @@ FEWEST_WINDOWS: Final = 10
 MOST_UNCERTAIN: Final = 0.25
 HOVER_UNCERTAIN: Final = 0.02
 GAIN_BOUNDS: Final = (0.2, 12.0)
-LAG_BOUNDS_S: Final = (0.01, 1.5)
+LAG_BOUNDS_S: Final = (SHORTEST_LAG_S, 1.5)
 # what is nearer to the assumed number than so many standard deviations is no reason to change that
 SIGNIFICANT: Final = 2.0
 FREE: Final = 3  # v, a and d of each window

@@ -20,6 +20,7 @@ import math
 from typing import Final
 
 from companion.base.geometry import (
+    DOWN,
     GRAVITY_M_S2,
     Quaternion,
     Vector3,
@@ -38,8 +39,6 @@ ACCEL_AVERAGE_S: Final = 2.0  # manoeuvres shorter than this average out of the 
 ACCEL_GATE_M_S2: Final = 0.8  # averages that differ more from gravity say nothing of the horizon
 MAG_GATE: Final = 0.15  # share of the field's size
 DIP_GATE_DEG: Final = 10.0
-
-GRAVITY_FORCE_NED: Final[Vector3] = (0.0, 0.0, -GRAVITY_M_S2)
 
 
 def blend(q_gyro: Quaternion, q_reference: Quaternion, gyro_error_rate: float, dt_s: float) -> Quaternion:
@@ -83,7 +82,7 @@ class OrientationFilter:
         self._field_ut = norm(field_ned_ut)
         self._dip_rad = math.asin(field_ned_ut[2] / self._field_ut)
         self.attitude = attitude
-        self._force_ned_m_s2 = GRAVITY_FORCE_NED
+        self._force_ned_m_s2 = scale(DOWN, -GRAVITY_M_S2)
         self.mag_trusted = True
 
     @property

@@ -32,7 +32,7 @@ GAP_STEPS: Final = 3.0  # so many times the step before
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
 _THIRD_DIFFERENCE: Final = (1.0, -3.0, 3.0, -1.0)
 _ForceAndRate = tuple[float, float, float, float, float, float]
-_NOTHING: Final[_ForceAndRate] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_NOTHING: Final[_ForceAndRate] = (*ZERO3, *ZERO3)
 # the sum of its factors' squares, and of its neighbouring factors' products
 _SQUARES: Final = sum(a * a for a in _THIRD_DIFFERENCE)
 _PRODUCTS: Final = sum(a * b for a, b in pairwise(_THIRD_DIFFERENCE))
