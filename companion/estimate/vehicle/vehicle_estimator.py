@@ -62,7 +62,6 @@ from companion.estimate.vehicle.strapdown import Strapdown
 ALIGNED_STD_RAD: Final = math.radians(20.0)  # an attitude known less well is none to fly by
 ORIENTATION_RATE_HZ: Final = 10.0  # the pre-filter's error lasts: more often would say nothing new
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
-_AGREES_S = 0.5  # two samples so near each other agree on a time that is far from what was
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
@@ -128,8 +127,8 @@ class VehicleEstimator:
         if elapsed_s <= 0.0:
             return False
         leap_s, self._leap_s = self._leap_s, -math.inf
-        if LOST_S < elapsed_s < math.inf and not 0.0 < sample.time_s - leap_s <= _AGREES_S:
-            self._leap_s = sample.time_s  # believed once the next one continues from it
+        if LOST_S < elapsed_s < math.inf and not 0.0 < sample.time_s - leap_s <= LOST_S:
+            self._leap_s = sample.time_s  # believed once the next one continues from it, without a leap
             return False
         # a time that was turned from another clock into ours jitters, and may jump when that has stood still
         dt_s = elapsed_s if sample.interval_s is None else sample.interval_s
