@@ -65,7 +65,6 @@ LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
-LONGEST_STEP_S = 0.1  # between two samples of the magnetometer that the pre-filter takes in
 
 
 class VehicleEstimator:
@@ -153,7 +152,7 @@ class VehicleEstimator:
         """Take one sample; False when it is not newer than the last."""
         if sample.time_s <= self._mag_s:
             return False
-        dt_s = min(sample.time_s - self._mag_s, LONGEST_STEP_S)
+        dt_s = min(sample.time_s - self._mag_s, MAG_TIMEOUT_S)
         self._mag_s = sample.time_s
         if self._aligner is not None:
             self._aligner.add_field(sample.field_body_ut)
