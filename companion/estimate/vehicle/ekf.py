@@ -55,7 +55,6 @@ from companion.estimate.vehicle.gyro_bias_check import STRIDE_S, BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import YawError
 
-MAG_DIP_NOISE_UT: Final = 50.0  # of the field in its own vertical plane, which gives no heading: all of it
 MAG_REFUSED_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
 WRONG_HEADING_RAD: Final = math.radians(30.0)  # by so much
 GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 5 Hz
@@ -265,12 +264,14 @@ class VehicleEkf(EkfState):
 
         A disturbance stays for its correlation time T: of f samples a second each has 2 T f times its
         variance, as white noise that errs as much over longer times (a Gauss-Markov process does).
-        Indoors and near iron size and dip err by more than the tilt: a field shows the heading alone.
+        Indoors and near iron size and dip err by more than the tilt: a field shows the heading alone. All of
+        it is noise in its own vertical plane, which gives none.
         """
         config = self._config
         alike = 2.0 * config.mag_wander_s * config.mag_rate_hz
         across = config.mag_noise_ut**2 + alike * disturbance_ut2
-        along = max(MAG_DIP_NOISE_UT**2, across)
+        field = self.x[model.FIELD]
+        along = max(float(field @ field), across)
         return along * EYE3 - (along - across) * (east[:, None] * east)
 
     def _suspect_bias(self, for_s: float = 0.0) -> None:
