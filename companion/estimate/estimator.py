@@ -100,11 +100,8 @@ class StateEstimator:
         self._vehicle = VehicleEstimator(config, self._antenna_m, self._motion, imu_m)
         self._vehicle.origin, self._vehicle.corrections = origin, corrections
         self._no_pad()
-        delay_std_s, echo_noise_m = config.pad.camera_delay_std_s, config.pad.range_noise_m
         axis = down_axis(quat_from_euler(*airframe.camera_turn_rad))
-        self._camera_check = CameraCheck(
-            self._motion, delay_std_s, self._board_half_width_m, axis, echo_noise_m
-        )
+        self._camera_check = CameraCheck(self._motion, config.pad, self._board_half_width_m, axis)
         self._mount_check = MountCheck(self._motion, airframe.camera_position_body_m, airframe.camera_yaw_deg)
         self._velocity_check = VelocityCheck()
 

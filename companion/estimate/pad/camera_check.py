@@ -69,7 +69,6 @@ SCALE_SPAN_S: Final = 3.0  # of sightings
 DELAY_WALK_S_RTS: Final = 1e-3
 PAD_ACCELERATION_M_S2: Final = 2.0
 PAD_ACCELERATION_S: Final = 2.0
-FIRST_SPEED_M_S: Final = 3.0
 NOISE_M: Final = 0.005  # of a sighting's, at least: calibration errors, which turn with the view
 # of the attitude, from one second to the next, besides the noise of the gyroscope
 NOISE_RAD: Final = 0.003
@@ -105,16 +104,13 @@ class CameraCheck:
     def __init__(
         self,
         motion: MotionHistory,
-        delay_std_s: float,
+        config: PadFilterConfig,
         board_half_width_m: float,
         optical_axis_body: Vector3 = (0.0, 0.0, 1.0),
-        echo_noise_m: float = PadFilterConfig().range_noise_m,
     ) -> None:
-        """`delay_std_s`: how far off the stamps may be before anything is known (s); 0: not at all.
-
-        `echo_noise_m` is an echo's that comes square to the board.
-        """
-        self._echo_noise_m = echo_noise_m
+        """Of the settings those of the stamps' delay, of an echo's noise and of a pad's first speed."""
+        delay_std_s, self._echo_noise_m = config.camera_delay_std_s, config.range_noise_m
+        self._first_speed_m_s = config.first_speed_std_m_s
         self._axis = np.array(optical_axis_body)
         self._motion, self._half_width_m = motion, board_half_width_m
         self._delay_walk = DELAY_WALK_S_RTS if delay_std_s > 0.0 else 0.0
@@ -227,7 +223,7 @@ class CameraCheck:
         seen = np.array(quat_rotate(attitude, pad_body_m))
         x[_Q], x[_V], x[_A] = seen - H @ x[_BODY], 0.0, 0.0
         P[:9, :], P[:, :9] = 0.0, 0.0
-        spread = (noise_m2, FIRST_SPEED_M_S**2, PAD_ACCELERATION_M_S2**2)
+        spread = (noise_m2, self._first_speed_m_s**2, PAD_ACCELERATION_M_S2**2)
         P[:9, :9] = np.diag(np.repeat(spread, 3))
         P[_Q, _K:] = -H @ P[_BODY, _K:]
         P[_K:, _Q] = P[_Q, _K:].T

@@ -9,6 +9,7 @@ from companion.base.geometry import Vector3, add, cross, vector3
 from companion.base.geometry import scale as scaled
 from companion.base.messages import Quantity, SourceComparison
 from companion.base.second_sources import TABLE
+from companion.config.estimate import PadFilterConfig
 from companion.estimate.motion import LEVER_STD_M, MotionHistory
 from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.pad_types import HeightMeasurement
@@ -42,7 +43,7 @@ def compared(
     motion, rng = MotionHistory(3.0), np.random.default_rng(seed)
     wrong_m = wanders_m * rng.standard_normal(3)
     motion.imu_covariance_m2 = arm_std_m**2 * np.eye(3)
-    check = CameraCheck(motion, 0.03, 0.65, echo_noise_m=echo_noise_m)
+    check = CameraCheck(motion, PadFilterConfig(range_noise_m=echo_noise_m), 0.65)
     for k, (exposed_s, (x, y, z)) in enumerate(sightings(sway, motion, duration_s)):
         if echoes and k % 2:
             attitude = sway.attitude(exposed_s)
