@@ -43,7 +43,6 @@ from companion.estimate.vehicle.gyro_bias_check import WRONG_TIME_S, BiasStep, S
 THEIR_STD_RAD: Final = math.radians(1.0)  # of their horizon, in flight
 DEVIATIONS: Final = 4.0
 SURELY_RAD: Final = DEVIATIONS * THEIR_STD_RAD
-LEAST_APART_RAD: Final = math.radians(5.0)  # in a steady stream
 AFTER_GAP_RAD: Final = math.radians(1.5)
 REPORTS_KEPT: Final = 50
 
@@ -140,7 +139,7 @@ class AttitudeReset:
             wrong, why = tilt_rad > AFTER_GAP_RAD, "ours was uncertain"
         else:
             since_s = report.time_s if wrong_since_s is None else wrong_since_s
-            differs = tilt_rad > max(limit_rad, LEAST_APART_RAD)
+            differs = tilt_rad > limit_rad
             wrong, why = differs and report.time_s - since_s >= WRONG_FOR_S, "its horizon differs"
             if differs and not wrong:
                 self._wrong_since_s = since_s
