@@ -40,8 +40,8 @@ from companion.estimate.motion import MotionHistory, turn_between
 WINDOW_S: Final = 0.75
 STRIDE_S: Final = 0.25  # from one window's start to the next's
 LONGEST_GAP_S: Final = 0.6  # in the autopilot's reports
-STEP_RAD_S: Final = math.radians(0.7)  # from the present bias, to be a step
-AGREE_RAD_S: Final = math.radians(0.5)  # of two windows, one after the other
+# what two windows differ by at most to agree, and from the present bias at least; each finds it to 0.3 deg/s
+STEP_RAD_S: Final = math.radians(0.7)
 WRONG_TIME_S: Final = (
     0.05  # of the autopilot's reports, beside our samples: a turn makes that much of difference
 )
@@ -104,7 +104,7 @@ class SecondGyro:
         return BiasStep(bias, time_s - window[0].time_s + STRIDE_S)
 
     def _is_step(self, window: list[_Anchor], last: Vector3, bias: Vector3, assumed: Vector3) -> bool:
-        if norm(subtract(bias, last)) > AGREE_RAD_S or norm(bias) > LARGEST_BIAS_RAD_S:
+        if norm(subtract(bias, last)) > STEP_RAD_S or norm(bias) > LARGEST_BIAS_RAD_S:
             return False
         change, earlier = subtract(bias, assumed), subtract(last, assumed)
         if min(norm(change), norm(earlier)) < STEP_RAD_S:
