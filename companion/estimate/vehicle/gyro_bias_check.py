@@ -39,7 +39,6 @@ from companion.estimate.motion import MotionHistory, turn_between
 
 WINDOW_S: Final = 0.75
 STRIDE_S: Final = 0.25  # from one window's start to the next's
-LONGEST_GAP_S: Final = 0.6  # in the autopilot's reports
 # what two windows differ by at most to agree, and from the present bias at least; each finds it to 0.3 deg/s
 STEP_RAD_S: Final = math.radians(0.7)
 WRONG_TIME_S: Final = (
@@ -85,7 +84,7 @@ class SecondGyro:
 
     def _compare(self, anchor: _Anchor) -> BiasStep | None:
         (time_s, _, gyro_bias_rad_s), anchors = anchor, self._anchors
-        if anchors and abs(time_s - anchors[-1].time_s) >= LONGEST_GAP_S:
+        if anchors and abs(time_s - anchors[-1].time_s) >= WINDOW_S:
             anchors.clear()
             self._last = None
         if anchors and time_s - anchors[-1].time_s < STRIDE_S:
