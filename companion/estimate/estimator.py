@@ -68,10 +68,10 @@ from companion.estimate.velocity_check import VelocityCheck
 RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
 ATTITUDE_WANDER_RAD_S: Final = 0.3  # how fast the horizon's error changes: a share of itself a second
 
-FRAMES_APART_S: Final = 1.0 / 30.0
+FRAMES_APART_S: Final = 1.0 / 30.0  # of a camera at 30 Hz
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
 LARGEST_RATE_RAD_S = 70.0  # an MPU9250 measures 35 rad/s and 157 m/s² at most: more is a fault of the line
-LARGEST_FORCE_M_S2 = 320.0
+LARGEST_FORCE_M_S2 = 320.0  # twice what it measures, as above
 
 
 class StateEstimator:

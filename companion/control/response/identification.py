@@ -25,13 +25,13 @@ import scipy.optimize
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.control.response.flight_model import SHORTEST_LAG_S
 
-WINDOW_S: Final = 1.0
-FEWEST_WINDOWS: Final = 10
+WINDOW_S: Final = 1.0  # see above
+FEWEST_WINDOWS: Final = 10  # their scatter, which is the deviation, is known to a quarter by then
 # numbers less certain than these shares of themselves are none
 MOST_UNCERTAIN: Final = 0.25
-HOVER_UNCERTAIN: Final = 0.02
-GAIN_BOUNDS: Final = (0.2, 12.0)
-LAG_BOUNDS_S: Final = (SHORTEST_LAG_S, 1.5)
+HOVER_UNCERTAIN: Final = 0.02  # see above
+GAIN_BOUNDS: Final = (0.2, 12.0)  # 1/s: of autopilots by default 1.7 to 4 (`config.vehicle`)
+LAG_BOUNDS_S: Final = (SHORTEST_LAG_S, 1.5)  # s; judged
 # what is nearer to the assumed number than so many standard deviations is no reason to change that
 SIGNIFICANT: Final = 2.0
 FREE: Final = 3  # v, a and d of each window

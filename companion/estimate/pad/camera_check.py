@@ -67,29 +67,30 @@ from companion.estimate.pad.pad_types import HIGHEST_ECHO_M, HeightMeasurement
 SCALE_STD: Final = 0.3  # before anything is known
 SCALE_WALK_RTS: Final = 1e-3  # a lens that heats, an echo's air
 SCALE_SPAN_S: Final = 3.0  # of sightings
-DELAY_WALK_S_RTS: Final = 1e-3
+DELAY_WALK_S_RTS: Final = 1e-3  # 8 ms in a minute: clocks drift apart; judged, not measured
+# of one that speeds up, brakes or turns; judged: 1.5 m/s2 are tested to be no scale
 PAD_ACCELERATION_M_S2: Final = 2.0
 NOISE_M: Final = 0.005  # of a sighting's, at least: calibration errors, which turn with the view
 # of the attitude, from one second to the next, besides the noise of the gyroscope
 NOISE_RAD: Final = 0.003
-ATTITUDE_WANDERS_S: Final = 1.0
+ATTITUDE_WANDERS_S: Final = 1.0  # see above
 SQUARE: Final = 1.1  # so near to the least noise of an echo it comes square to the board
 ECHO_SCALE_STD: Final = 0.003  # the speed of sound, which does not average out
 # what a builder measures: how the camera is turned, and its focal length, as a share
 MOUNT_STD_RAD: Final = 0.02
-FOCAL_STD: Final = 0.01
+FOCAL_STD: Final = 0.01  # see above
 # lower, an offset of the echoes of some centimetres, which never averages out, would pass for a wrong scale
 LOWEST_ECHO_M: Final = 1.0
 ECHO_APART_S: Final = 0.05  # an echo and a sighting of one moment
 LONGEST_GAP_S: Final = 1.0  # between sightings; then the pad's motion begins again, scale and delay stay
-OUTLIER: Final = 5.0
+OUTLIER: Final = 5.0  # standard deviations: a sighting of something else, not of noise
 MEDIAN_OF: Final = 7  # echoes
-LARGEST_DELAY_S: Final = 0.1
+LARGEST_DELAY_S: Final = 0.1  # stamps that are 90 ms off have been learnt to 1 ms
 UNSETTLED_S: Final = 0.005  # what is still to be corrected of the delay: less does not show in the scale
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
 _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
 _F, _BODY = 17, slice(11, 18)  # m is 14:17
-_STATES: Final = 18
+_STATES: Final = 18  # see the module's text: 3 + 3 + 3 + 1 + 1 + 3 + 3 + 1
 _EYE: Final = np.eye(_STATES)
 _EYE.flags.writeable = False
 

@@ -41,10 +41,10 @@ from companion.estimate.vehicle.ekf_inputs import AttitudeStep, SecondAttitudeSt
 from companion.estimate.vehicle.gyro_bias_check import WRONG_TIME_S, BiasStep, SecondGyro
 
 THEIR_STD_RAD: Final = math.radians(1.0)  # of their horizon, in flight
-DEVIATIONS: Final = 4.0
+DEVIATIONS: Final = 4.0  # of what is compared in every report of a flight: one in 16000
 SURELY_RAD: Final = DEVIATIONS * THEIR_STD_RAD
-AFTER_GAP_RAD: Final = math.radians(1.5)
-REPORTS_KEPT: Final = 50
+AFTER_GAP_RAD: Final = math.radians(1.5)  # after a gap, or of an uncertain attitude of ours; judged
+REPORTS_KEPT: Final = 50  # two seconds of them at 25 Hz: after that ours begins again
 
 
 class OwnAttitude(NamedTuple):

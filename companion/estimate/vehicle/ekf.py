@@ -62,7 +62,7 @@ GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 
 GPS_TIMEOUT_S: Final = 2.0
 
 STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope shows
-SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
+SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)  # a step is of some 2 deg/s (decision 40)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)  # by the time that fixes show it
 LARGEST_CARRIED: Final = 0.02  # of a quaternion's component, by a late fix: 2 deg
 

@@ -22,7 +22,7 @@ from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 # Of the autopilot's attitude at rest. The horizons of the three calibrated IMUs on one board, in each of two
 # flight logs, differ by 0.5 deg an axis (standard deviation); the boards may lie askew by as much again.
 OTHER_COMPASS_STD_RAD: Final = math.radians(3.0)
-OTHER_HORIZON_STD_RAD: Final = math.radians(0.8)
+OTHER_HORIZON_STD_RAD: Final = math.radians(0.8)  # see above: 0.5 and as much again by the boards
 # Further off one of the two boards lies askew, and nothing at rest tells which: the heading alone counts.
 # Further still it is no attitude of this vehicle, and the gate refuses it as a whole.
 OTHER_HORIZON_ASKEW_RAD: Final = (math.radians(3.0), math.radians(10.0))

@@ -34,10 +34,11 @@ from companion.estimate.gating import fits
 from companion.estimate.motion import LEVER_STD_M
 
 LEVER_WALK_M_RTS: Final = 1e-4  # dampers give way
-BLOCK_S: Final = 0.04
+BLOCK_S: Final = 0.04  # twice, as a triangle: rotor tones leave nothing in it, as in `imu_noise`
 # what the air's force, with the vehicle's own speed, changes by in a second; a multirotor's thrust: all of it
 AIR_WALK_M_S2_RTS: Final = 1.0
 THRUST_WALK_M_S2_RTS: Final = GRAVITY_M_S2
+# of all six states
 _WALK: Final = np.diag([LEVER_WALK_M_RTS**2] * 3 + [AIR_WALK_M_S2_RTS**2] * 2 + [THRUST_WALK_M_S2_RTS**2])
 _ARM, _ELSE = slice(0, 3), slice(3, 6)
 
