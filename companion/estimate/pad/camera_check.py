@@ -90,7 +90,7 @@ UNSETTLED_S: Final = 0.005  # what is still to be corrected of the delay: less d
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
 _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
 _F, _BODY = 17, slice(11, 18)  # m is 14:17
-_STATES: Final = 18  # see the module's text: 3 + 3 + 3 + 1 + 1 + 3 + 3 + 1
+_STATES: Final = _BODY.stop
 _EYE: Final = np.eye(_STATES)
 _EYE.flags.writeable = False
 

@@ -49,7 +49,7 @@ from companion.estimate.vehicle.ekf_inputs import (
     SecondAttitudeStep,
 )
 from companion.estimate.vehicle.ekf_start import MOVING_SPEED_M_S, InitialState
-from companion.estimate.vehicle.ekf_state import EYE, FIXES, EkfSnapshot, EkfState
+from companion.estimate.vehicle.ekf_state import FIXES, EkfSnapshot, EkfState
 from companion.estimate.vehicle.fix_watch import LastFix
 from companion.estimate.vehicle.gyro_bias_check import STRIDE_S, BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
@@ -77,7 +77,7 @@ class VehicleEkf(EkfState):
 
     def apply(self, time_s: float, item: EkfInput) -> None:
         """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
-        self._moved = EYE
+        self._moved = model.EYE
         if isinstance(item, GpsStep):
             self._take_gps(time_s, item)
             return
@@ -126,7 +126,7 @@ class VehicleEkf(EkfState):
         if self.fix_watch.suspect(self.time_s) or np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
             return None
         fixed = {kind: gate for kind, gate in self.gates.items() if kind in FIXES}
-        after, since = [self.snapshot()], EYE
+        after, since = [self.snapshot()], model.EYE
         for past in later:
             if (moved := past.moved) is None:
                 return None

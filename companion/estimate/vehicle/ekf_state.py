@@ -38,9 +38,7 @@ with imported_late("filterpy.stats", "filterpy.discrete_bayes"):
     from filterpy.kalman import ExtendedKalmanFilter
 
 FIXES: Final = frozenset({"gps_velocity", "gps_position"})
-EYE4: Final = np.eye(4)
-EYE: Final = np.eye(model.STATES)
-EYE.flags.writeable = False
+EYE4: Final = model.EYE[model.QUATERNION, model.QUATERNION]
 
 
 class EkfSnapshot(NamedTuple):
@@ -79,7 +77,7 @@ class EkfState:
         self.watch = InnovationWatch()
         self.yaw_error = YawError.first()
         self.force_density_m2_s3 = 0.0  # of the force's own noise on an axis, in the last prediction
-        self._moved: FloatArray | None = EYE
+        self._moved: FloatArray | None = model.EYE
         self._rotation: tuple[FloatArray, FloatArray, FloatArray] | None = None  # its covariance, of x and P
 
     def snapshot(self) -> EkfSnapshot:
@@ -152,7 +150,7 @@ class EkfState:
         P[:n, :n] += G @ G.T
         diagonal[:7] += TINY_VARIANCE
         self.P = P
-        self._moved = EYE.copy()
+        self._moved = model.EYE.copy()
         self._moved[:n, :m] = A
         self.time_s = time_s
 
@@ -199,7 +197,7 @@ class EkfState:
         ekf = self._filter
         ekf.x, ekf.P = self.x, self.P
         ekf.update(innovation, lambda _: C, lambda _: 0.0, R)
-        x, P, L = ekf.x, ekf.P, EYE - ekf.K @ C
+        x, P, L = ekf.x, ekf.P, model.EYE - ekf.K @ C
         J = self._normalise(x)
         yaw_error = self.yaw_error.learnt(innovation, C, ekf.SI) if by_fix else self.yaw_error
         self.yaw_error = yaw_error.considered(C, ekf.K, J)
