@@ -61,7 +61,6 @@ from companion.base.geometry import (
 from companion.base.messages import Quantity, SourceComparison
 from companion.config.estimate import PadFilterConfig
 from companion.estimate.motion import RATE_SPAN_S, MotionHistory, rotation_lever
-from companion.estimate.pad.pad_models import MANOEUVRE_TIME_CONSTANT_S
 from companion.estimate.pad.pad_types import HIGHEST_ECHO_M, HeightMeasurement
 
 SCALE_STD: Final = 0.3  # before anything is known
@@ -70,6 +69,8 @@ SCALE_SPAN_S: Final = 3.0  # of sightings
 DELAY_WALK_S_RTS: Final = 1e-3  # 8 ms in a minute: clocks drift apart; judged, not measured
 # of one that speeds up, brakes or turns; judged: 1.5 m/s2 are tested to be no scale
 PAD_ACCELERATION_M_S2: Final = 2.0
+# so long; by the pad filter's 1.5 s a pad of 71 % was not refused in small fast swings any more
+PAD_ACCELERATION_S: Final = 2.0
 NOISE_M: Final = 0.005  # of a sighting's, at least: calibration errors, which turn with the view
 # of the attitude, from one second to the next, besides the noise of the gyroscope
 NOISE_RAD: Final = 0.003
@@ -243,7 +244,7 @@ class CameraCheck:
         dt = time_s - self._time_s
         self._turn(dt, self._motion.corrected(self._time_s, time_s))
         moved, sped = (np.array(u) for u in self._motion.moved(self._time_s, time_s)[:2])
-        fade = math.exp(-dt / MANOEUVRE_TIME_CONSTANT_S)
+        fade = math.exp(-dt / PAD_ACCELERATION_S)
         F = _EYE.copy()
         F[_Q, _V] = F[_V, _A] = dt * EYE3
         F[_Q, _A], F[_A, _A] = 0.5 * dt * dt * EYE3, fade * EYE3

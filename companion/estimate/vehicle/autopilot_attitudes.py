@@ -38,12 +38,15 @@ from companion.base.messages import AutopilotAttitude
 from companion.estimate.motion import WRONG_FOR_S, MotionHistory
 from companion.estimate.vehicle.attitude_check import AttitudeCheck, heading_between
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, SecondAttitudeStep, at_rest
-from companion.estimate.vehicle.gyro_bias_check import WRONG_TIME_S, BiasStep, SecondGyro
+from companion.estimate.vehicle.gyro_bias_check import BiasStep, SecondGyro
 
 THEIR_STD_RAD: Final = math.radians(1.0)  # of their horizon, in flight
 DEVIATIONS: Final = 4.0  # of what is compared in every report of a flight: one in 16000
 SURELY_RAD: Final = DEVIATIONS * THEIR_STD_RAD
 AFTER_GAP_RAD: Final = math.radians(1.5)  # after a gap, or of an uncertain attitude of ours; judged
+# their reports and our samples: a turn makes that much; by the second gyroscope's 0.05 s a reset at 10 deg/s
+# is late
+MISTIMED_S: Final = 0.03
 REPORTS_KEPT: Final = 50  # two seconds of them at 25 Hz: after that ours begins again
 
 
@@ -126,7 +129,7 @@ class AttitudeReset:
         off_rad = math.remainder(now_rad - ahead_rad, math.tau)
         north, east, down = own.covariance_rad2.diagonal().tolist()
         std_rad = math.sqrt(north + east)
-        limit_rad = DEVIATIONS * math.hypot(std_rad, THEIR_STD_RAD) + WRONG_TIME_S * own.turning_rad_s
+        limit_rad = DEVIATIONS * math.hypot(std_rad, THEIR_STD_RAD) + MISTIMED_S * own.turning_rad_s
         wrong_since_s, self._wrong_since_s = self._wrong_since_s, None
         compared_s, self._compared_s = self._compared_s, max(self._compared_s, report.time_s)
         missing_s = self._motion.missing_s(compared_s, report.time_s)
