@@ -27,6 +27,7 @@ from companion.app.stages import STANDBY_WORDS, Stages
 from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock, handing_over_soon, infrequent_collection
 from companion.base.messages import (
+    IMU_PREDICTED_S,
     Action,
     ActionKind,
     ActionResult,
@@ -42,7 +43,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CompanionConfig, ConfigError
-from companion.control.controller import BLIND_S, Controller
+from companion.control.controller import Controller
 from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
 from companion.flightlog.record import FlightLog
@@ -395,7 +396,7 @@ class App:
                 self._latency_ms = 1e3 * (now_s - target.time_s)
             return
         aims = plan.reference is not None or plan.phase in ASKS_FOR_CONTROL
-        if aims and vehicle is not None and vehicle.imu_age_s <= BLIND_S:
+        if aims and vehicle is not None and vehicle.imu_age_s <= IMU_PREDICTED_S:
             self.session.align(vehicle.attitude, vehicle.time_s)
         if plan.reference is None or self.session.setup is None:
             return

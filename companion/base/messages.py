@@ -208,6 +208,7 @@ class EstimatorInputs:
 
 
 IMU_TIMEOUT_S: Final = 1.5  # without the IMU for longer there is no state of the vehicle to report
+IMU_PREDICTED_S: Final = 0.1  # beyond its newest sample motion is carried on for so long; then it is unknown
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
 from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale, subtract, vector3, yaw_from_quat
 from companion.base.messages import (
+    IMU_PREDICTED_S,
     AutopilotSetup,
     ControlReport,
     LinkHealth,
@@ -59,8 +60,6 @@ PAD_ACCELERATION_DECAY_S: Final = 1.0  # a pad's measured acceleration is believ
 RESTART_AFTER_S = 0.5
 # states are to be fresh; older ones are carried on for no longer than this
 LONGEST_PREDICTION_S = 0.4
-# without the IMU for longer it flies on as it did, or with the pad that it sinks onto
-BLIND_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +154,8 @@ class Controller:
             self._gate.reset()
         if not obeyed or heard_again:
             self._flying = False
-        if vehicle.imu_age_s > BLIND_S:
+        # then it flies on as it did, or with the pad that it sinks onto
+        if vehicle.imu_age_s > IMU_PREDICTED_S:
             return self._wait_for_imu(plan, plan.reference, vehicle, pad, now_s, obeyed=obeyed)
         if self._flying and not self._stopped:
             self._plant.observe(vehicle, elapsed_s, learns=link.fresh, feet_near=plan.feet_near)

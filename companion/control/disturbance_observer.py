@@ -29,10 +29,10 @@ from companion.control.response.flight_model import advance_axis
 
 # the measured acceleration's bias (of attitude or accelerometer) shows in the velocity, at this bandwidth
 BIAS_RAD_S: Final = 0.6
-MAXIMUM_BIAS_M_S2: Final = 0.5
+MAXIMUM_BIAS_M_S2: Final = 0.5  # 3 deg of attitude
 # a larger surprise is a jump of the estimate (a fix came in), not of the vehicle
 LARGEST_VELOCITY_INNOVATION_M_S: Final = 0.3
-LARGEST_ACCELERATION_INNOVATION_M_S2: Final = 3.0
+LARGEST_ACCELERATION_INNOVATION_M_S2: Final = 3.0  # and of the acceleration: a blow
 
 
 class _Axis:
@@ -166,13 +166,13 @@ class WindObserver:
     gusts, to a tenth within a few changes of speed in calm air. None is known at first.
     """
 
-    QUICKEST_S: Final = 0.03
-    SLOWEST_S: Final = 0.3
+    QUICKEST_S: Final = 0.03  # a cycle at 30 Hz
+    SLOWEST_S: Final = 0.3  # a wind is followed at least so quickly; judged
     FIRST_WALK: Final = 0.3  # m2/s5, as on an x500 in 8 m/s of moderate turbulence
-    WALK_MEMORY_S: Final = 10.0
+    WALK_MEMORY_S: Final = 10.0  # three of the slow mean's times
     TREND_TIMES: Final = 10.0  # the trend is smoothed in proportion
-    MEAN_S: Final = 1.0
-    SLOW_MEAN_S: Final = 3.0
+    MEAN_S: Final = 1.0  # of the two means (see above); judged
+    SLOW_MEAN_S: Final = 3.0  # see above
     MOST_CHANGE_M_S2: Final = 1.0  # a steeper trend is a gust that is over before
     # 1/s: rotors' and body's is 0.1 to 0.5 on real multirotors, 1.0 in PX4's SIH
     FIRST_DRAG_STD: Final = 0.5

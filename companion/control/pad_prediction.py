@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray, Vector3
 from companion.base.messages import PadState
+from companion.base.motion import COURSE_M_S
 
 ComplexArray = NDArray[np.complex128]
 
-MINIMUM_TURNING_SPEED_M_S = 0.4
-MINIMUM_TURN_RATE_RAD_S = 0.02
-MAXIMUM_TURN_RATE_RAD_S = 1.5
+MINIMUM_TURN_RATE_RAD_S = 0.02  # 2 deg over the horizon: straight on, and the turn's formula divides by it
+MAXIMUM_TURN_RATE_RAD_S = 1.5  # more is noise: of 0.45 m/s2 at the least speed of a course
 # Slower than this the course is noise: a pad that turns back, or starts to move, does not halt first.
 MINIMUM_BRAKING_SPEED_M_S = 0.1
 
@@ -39,7 +39,7 @@ def turn_rate(velocity_m_s: Vector3, acceleration_m_s2: Vector3) -> float | None
     vx, vy, _ = velocity_m_s
     ax, ay, _ = acceleration_m_s2
     squared = vx * vx + vy * vy
-    if squared < MINIMUM_TURNING_SPEED_M_S**2:
+    if squared < COURSE_M_S**2:
         return None
     omega = (vx * ay - vy * ax) / squared
     return omega if MINIMUM_TURN_RATE_RAD_S < abs(omega) < MAXIMUM_TURN_RATE_RAD_S else None

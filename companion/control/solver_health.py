@@ -16,7 +16,7 @@ UNFINISHED = (NEARLY_SOLVED, UNSOLVED)
 # Out of iterations, with inputs at their bounds for long, the first input is within 0.2 m/s2 of the best by
 # these: of the rows (m, m/s, m/s2), and of the gradient as a share of its parts.
 ACCEPTED_PRIMAL = 0.05
-ACCEPTED_DUAL_SHARE = 1e-2
+ACCEPTED_DUAL_SHARE = 1e-2  # see above
 # after so many solves in a row without a solution the last one is worth nothing
 FAILURES_TO_STOP = 10
 # a gust is over before; what cuts the inputs or takes all of the thrust or tilt for longer is a wind

@@ -12,7 +12,7 @@ from companion.control.response.plant import Plant
 
 # so much faster than planned, and than thrust explains, for so long, is a fall
 FALLS_M_S: Final = 0.5
-FALLS_S: Final = 0.3
+FALLS_S: Final = 0.3  # see above
 FRESH_S: Final = 0.25  # reports of the thrust come 20 times a second, half a round trip (0.3 s) late at most
 
 

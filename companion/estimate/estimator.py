@@ -68,10 +68,10 @@ from companion.estimate.velocity_check import VelocityCheck
 RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
 ATTITUDE_WANDER_RAD_S: Final = 0.3  # how fast the horizon's error changes: a share of itself a second
 
-FRAMES_APART_S: Final = 1.0 / 30.0
+FRAMES_APART_S: Final = 1.0 / 30.0  # of a camera at 30 Hz
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
 LARGEST_RATE_RAD_S = 70.0  # an MPU9250 measures 35 rad/s and 157 m/s² at most: more is a fault of the line
-LARGEST_FORCE_M_S2 = 320.0
+LARGEST_FORCE_M_S2 = 320.0  # twice what it measures, as above
 
 
 class StateEstimator:
@@ -100,9 +100,8 @@ class StateEstimator:
         self._vehicle = VehicleEstimator(config, self._antenna_m, self._motion, imu_m)
         self._vehicle.origin, self._vehicle.corrections = origin, corrections
         self._no_pad()
-        delay_std_s = config.pad.camera_delay_std_s
         axis = down_axis(quat_from_euler(*airframe.camera_turn_rad))
-        self._camera_check = CameraCheck(self._motion, delay_std_s, self._board_half_width_m, axis)
+        self._camera_check = CameraCheck(self._motion, config.pad, self._board_half_width_m, axis)
         self._mount_check = MountCheck(self._motion, airframe.camera_position_body_m, airframe.camera_yaw_deg)
         self._velocity_check = VelocityCheck()
 

@@ -15,7 +15,7 @@ from companion.estimate.pad.observation_kinds import KINDS
 
 # on the ground nothing is lost by a new start; in the air a receiver may be off for so long
 STARVED_S: Final = 10.0
-STARVED_SAMPLES: Final = 10
+STARVED_SAMPLES: Final = 10  # in a row: one who has fallen silent is not refused
 # the tests by which an input's measurements are refused; the others' noise is no input's
 GATES: Final = {
     "gps": ("gps_velocity", "gps_position"),

@@ -16,6 +16,7 @@ import numpy as np
 from companion.base.geometry import (
     EYE3,
     GRAVITY_M_S2,
+    IDENTITY,
     ZERO3,
     FloatArray,
     Quaternion,
@@ -30,33 +31,42 @@ from companion.base.geometry import (
     scale,
     subtract,
 )
+from companion.base.messages import IMU_PREDICTED_S
 
 LEVER_STD_M: Final = 0.05  # of the IMU's place as told, an axis: people put boards up to 10 cm off
-PREDICTED_S = 0.1  # beyond the newest sample an acceleration goes on for so long, and then there is none
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_ACCELERATION_M_S2: Final = 4.0  # how hard the vehicle may accelerate in a gap of the IMU's stream
 UNSEEN_JERK_M_S3: Final = 6.0  # and how fast that changes
-WRONG_FOR_S: Final = 0.2  # an attitude, before it is corrected
+UNSEEN_RATE_RAD_S: Final = 1.0  # how fast it may turn there
+UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
+RATE_SPAN_S: Final = 0.01  # a rate of turn is the mean of so long: two samples at 200 Hz
+WRONG_FOR_S: Final = 0.2  # an attitude, before it is corrected: a manoeuvre that is timed wrongly is over
 
 
 class VehiclePlace(NamedTuple):
     """The vehicle's position (m, NED) from `origin` (latitude deg, longitude deg, altitude m).
 
-    The standard deviations (m, m/s) of position and velocity are axis by axis.
+    The standard deviations (m, m/s) of position and velocity are axis by axis; the position's error has
+    forgotten itself after `wander_s`.
     """
 
     position_ned_m: Vector3
     position_std_m: Vector3
     velocity_std_m_s: Vector3
     origin: Vector3
+    wander_s: float
 
 
 class _Gap(NamedTuple):
-    """A time whose motion is not known; noise of this density, on an axis, makes in it what may be missed."""
+    """A time whose motion is not known; noise of this density, on an axis, makes in it what may be missed.
+
+    `turn_rad2` is the variance, on an axis, of the turn that it hides; 0 where samples have come.
+    """
 
     start_s: float
     end_s: float
     density_m2_s3: float
+    turn_rad2: float = 0.0
 
 
 # attitude, integrals of acceleration (velocity and position), all corrections of the attitude up to then
@@ -108,7 +118,8 @@ class MotionHistory:
             dt = time_s - self._times_s[-1]
             acts_s = dt if span_s is None else span_s
             if acts_s > LONGEST_STEP_S:
-                self._gaps.append(_Gap(time_s - dt, time_s, unseen_velocity_m2_s2(acts_s) / dt))
+                density_m2_s3 = unseen_velocity_m2_s2(acts_s) / dt
+                self._gaps.append(_Gap(self._times_s[-1], time_s, density_m2_s3, unseen_turn_rad2(acts_s)))
             _, (vx, vy, vz), (px, py, pz), _ = self._samples[-1]
             (ax, ay, az), (bx, by, bz) = self._acceleration, acceleration_ned_m_s2
             h, k = 0.5 * acts_s, dt * acts_s / 6.0
@@ -140,20 +151,41 @@ class MotionHistory:
         share = (time_s - start_s) / (times_s[place] - start_s)
         return quat_normalise(part_way(samples[place - 1][0], samples[place][0], share))
 
-    def turn(self, from_s: float, turn: Quaternion) -> None:
-        """Turn (about NED axes) what was measured from a time on: the attitudes have proved wrong.
+    def missing_s(self, start_s: float, end_s: float) -> float:
+        """How long nothing has come, in the gaps that have ended between two times."""
+        return sum(gap.end_s - gap.start_s for gap in self._hidden(start_s, end_s))
 
-        Where a gap ends then, the turn is what it hid. Else the attitudes before were wrong, too, and are
-        corrected from then on; what they have made of the motion until now is not known.
+    def in_gap(self, time_s: float) -> bool:
+        """Whether no sample covers a time that samples have come up to."""
+        return any(gap.start_s < time_s < gap.end_s for gap in self._gaps if gap.turn_rad2)
+
+    def _hidden(self, start_s: float, end_s: float) -> list[_Gap]:
+        return [gap for gap in self._gaps if gap.turn_rad2 and start_s < gap.end_s <= end_s]
+
+    def turn(self, right_s: float, wrong_s: float, turn: Quaternion) -> None:
+        """Turn (about NED axes) what was measured: the attitudes were right at one time, wrong at the next.
+
+        Where gaps have ended between the two, the turn is what they hid: of several each has hidden its share
+        of the variance. Else the attitudes were wrong from the first time on and are corrected from then on;
+        what they have made of the motion until now is not known.
         """
-        newest_s, by = self._times_s[-1], ZERO3
-        first = bisect_left(self._times_s, min(from_s, newest_s))
-        hidden = next((gap for gap in self._gaps if gap.end_s == from_s), None)
-        if hidden is None:
-            by = rotation_vector_from_quat(turn)
+        hidden = self._hidden(right_s, wrong_s)
+        if not hidden:
+            newest_s, by = self._times_s[-1], rotation_vector_from_quat(turn)
             density_m2_s3 = misled_velocity_m_s(by) ** 2 / LONGEST_STEP_S
             self._gaps.append(_Gap(newest_s - LONGEST_STEP_S, newest_s, density_m2_s3))
-        self._corrected = add(self._corrected, by)
+            self._corrected = add(self._corrected, by)
+            self._turn_from(right_s, turn, by)
+            self.turned_since_s = min(self.turned_since_s, right_s)
+            return
+        whole = sum(gap.turn_rad2 for gap in hidden)
+        for gap in hidden:
+            self._turn_from(gap.end_s, part_way(IDENTITY, turn, gap.turn_rad2 / whole), ZERO3)
+        self.turned_since_s = min(self.turned_since_s, hidden[0].start_s)
+
+    def _turn_from(self, from_s: float, turn: Quaternion, by: Vector3) -> None:
+        """Turn the samples from a time on; `by` (rad, NED axes) is what of that is a correction."""
+        first = bisect_left(self._times_s, min(from_s, self._times_s[-1]))
         _, start_speed, start_place, _ = self._samples[first]
         for number, (attitude, speed, place, corrected) in enumerate(self._samples[first:], first):
             dt = self._times_s[number] - self._times_s[first]
@@ -168,7 +200,6 @@ class MotionHistory:
             )
         self._acceleration = _turned(turn, self._acceleration, 1.0)
         self._lasting = _turned(turn, self._lasting, 1.0)
-        self.turned_since_s = min(self.turned_since_s, from_s if hidden is None else hidden.start_s)
 
     def correct(self, turn_rad: Vector3) -> None:
         """The attitude has been corrected by a small rotation (rad, NED axes): later samples have it."""
@@ -198,7 +229,7 @@ class MotionHistory:
             return 0.0
         return 0.5 * norm(turn_between(before, after))
 
-    def rate_body_rad_s(self, time_s: float, span_s: float) -> Vector3:
+    def rate_body_rad_s(self, time_s: float, span_s: float = RATE_SPAN_S) -> Vector3:
         """Mean rate of turn (rad/s, body axes) over `span_s` about a time, or the last that is known."""
         newest_s = self.newest_s
         end_s = time_s + 0.5 * span_s if newest_s is None else min(time_s + 0.5 * span_s, newest_s)
@@ -242,7 +273,7 @@ class MotionHistory:
         """Velocity and position integrals at a time; beyond the newest sample an acceleration goes on."""
         if not self._times_s:
             return ZERO3, ZERO3
-        known_s = self._times_s[-1] + PREDICTED_S
+        known_s = self._times_s[-1] + IMU_PREDICTED_S
         if time_s > known_s:
             speed, (x, y, z) = self._at(known_s)
             dt = time_s - known_s
@@ -273,6 +304,12 @@ def unseen_velocity_m2_s2(span_s: float) -> float:
     """
     unseen_s = max(span_s - LONGEST_STEP_S, 0.0)
     return (min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s) * unseen_s) ** 2
+
+
+def unseen_turn_rad2(span_s: float) -> float:
+    """The same of the attitude (rad²)."""
+    unseen_s = max(span_s - LONGEST_STEP_S, 0.0)
+    return (min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s) * unseen_s) ** 2
 
 
 def _turned(turn: Quaternion, gained: Vector3, weight: float) -> Vector3:

@@ -14,9 +14,9 @@ from typing import Final
 
 from companion.base.geometry import Vector3
 from companion.base.messages import Quantity, SourceComparison
+from companion.estimate.vehicle.fix_watch import FRESH_S
 
 REPORTS: Final = 4  # at 5 Hz; an ArduPilot that has lost its velocity sends zero until it says so, at 2 Hz
-FRESH_S: Final = 1.0  # of a report, and of a fix
 # of theirs beyond the filters' own: its stamp is off by 0.1 s in a manoeuvre of 3 m/s²
 OTHER_VELOCITY_STD_M_S: Final = 0.3
 

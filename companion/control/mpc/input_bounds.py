@@ -20,8 +20,8 @@ OCTAGON: Final = np.array([(math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)
 EIGHT: Final = np.vstack([OCTAGON, -OCTAGON])
 # an octagon with this share of a circle's radius to its sides lies within the circle
 OCTAGON_WITHIN_CIRCLE: Final = math.cos(math.pi / 8)
-FOUR: Final = EIGHT[::2]
-INPUT_ROWS: Final = 4 + 1 + 8 + 4
+FOUR: Final = EIGHT[::2]  # every second one
+INPUT_ROWS: Final = 4 + 1 + 8 + 4  # horizontal, vertical, tilt, thrust
 # whatever hover thrust has been learnt, the vehicle may at least rise and sink by this share of g
 LEAST_ROOM: Final = 0.1
 

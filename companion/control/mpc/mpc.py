@@ -60,7 +60,7 @@ SETTINGS: Final[dict[str, Any]] = {
     "warm_starting": True,
     "verbose": False,
 }
-SLICE_ITERATIONS = 100
+SLICE_ITERATIONS = 100  # four times what a warm start takes, before the stopwatch is asked
 FIRST_HOVER_THRUST = 0.5  # share of full thrust that carries the weight, until a target gives it
 AT_BOUND = 0.98  # of it, sideways: OSQP stops short of a bound
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter

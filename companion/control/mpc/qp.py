@@ -21,8 +21,8 @@ from companion.config import ControlConfig, TrackingConfig
 from companion.control.mpc.input_bounds import INPUT_ROWS, OCTAGON
 from companion.control.response.flight_model import discretise
 
-VELOCITY_SLACK_WEIGHT = 400.0
-FLOOR_SLACK_WEIGHT = 4000.0
+VELOCITY_SLACK_WEIGHT = 400.0  # 1 / (0.05 m/s)^2
+FLOOR_SLACK_WEIGHT = 4000.0  # 1 / (1.6 cm)^2
 # rows of one step, in their order
 ROWS: Final = (
     ("dynamics", 9),

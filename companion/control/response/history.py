@@ -12,7 +12,7 @@ from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, scale, su
 from companion.base.motion import Motion
 from companion.control.response.flight_model import advance
 
-REMEMBERED = 64
+REMEMBERED = 64  # two seconds of commands at 30 Hz
 
 
 @dataclass(frozen=True, slots=True)

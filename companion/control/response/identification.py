@@ -23,16 +23,15 @@ import scipy.linalg
 import scipy.optimize
 
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
+from companion.control.response.flight_model import SHORTEST_LAG_S
 
-WINDOW_S: Final = 1.0
-FEWEST_WINDOWS: Final = 10
+WINDOW_S: Final = 1.0  # see above
+FEWEST_WINDOWS: Final = 10  # their scatter, which is the deviation, is known to a quarter by then
 # numbers less certain than these shares of themselves are none
 MOST_UNCERTAIN: Final = 0.25
-HOVER_UNCERTAIN: Final = 0.02
-BLOCK_S: Final = 1.0
-FEWEST_BLOCKS: Final = 5
-GAIN_BOUNDS: Final = (0.2, 12.0)
-LAG_BOUNDS_S: Final = (0.01, 1.5)
+HOVER_UNCERTAIN: Final = 0.02  # see above
+GAIN_BOUNDS: Final = (0.2, 12.0)  # 1/s: of autopilots by default 1.7 to 4 (`config.vehicle`)
+LAG_BOUNDS_S: Final = (SHORTEST_LAG_S, 1.5)  # s; judged
 # what is nearer to the assumed number than so many standard deviations is no reason to change that
 SIGNIFICANT: Final = 2.0
 FREE: Final = 3  # v, a and d of each window
@@ -237,12 +236,11 @@ def hover_thrust(flown: ResponseRecord) -> tuple[float, float]:
     """
     if flown.thrust is None:
         raise TooLittleError("no thrust in the log: hover thrust shows in flights by attitude setpoints")
-    size = round(BLOCK_S / flown.period_s)
+    size = round(WINDOW_S / flown.period_s)
     starts = [k for first, last in flown.pieces for k in range(first, last - size + 1, size)]
-    if len(starts) < FEWEST_BLOCKS:
-        raise TooLittleError(
-            f"{BLOCK_S * len(starts):.0f} s of flight, expected {BLOCK_S * FEWEST_BLOCKS:.0f} s"
-        )
+    fewest = FEWEST_WINDOWS // 2  # of windows that do not overlap, as long
+    if len(starts) < fewest:
+        raise TooLittleError(f"{WINDOW_S * len(starts):.0f} s of flight, expected {WINDOW_S * fewest:.0f} s")
     rows = np.array(starts)[:, None] + np.arange(size)
     shares = GRAVITY_M_S2 * flown.thrust[rows].mean(axis=1) / flown.force_m_s2[rows].mean(axis=1)
     mean, std = float(np.mean(shares)), float(np.std(shares, ddof=1)) / math.sqrt(len(shares))

@@ -23,6 +23,7 @@ from companion.base.messages import Setpoint, VehicleState
 from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.disturbance_observer import SlowDisturbanceObserver, WindObserver
+from companion.control.limits import LONGEST_STEP_S
 from companion.control.response.fitting import loop_rad_s
 from companion.control.response.flight_model import flown_kind, velocity_gains
 from companion.control.response.history import CommandHistory, SentCommand
@@ -33,7 +34,6 @@ LASTING_SHARE: Final = 0.25
 # along down that is all there is to meet the air under the rotors; the autopilot's own velocity loop damps it
 # By attitude the hover thrust's estimate does it, as fast as this.
 LASTING_DOWN_SHARE: Final = {"velocity": 0.25, "acceleration": 1.0, "attitude": 0.3}
-OTHERS_AFTER_S: Final = 0.2  # since our own attitudes were last observed
 
 
 class Plant:
@@ -153,7 +153,7 @@ class Plant:
 
     def hold(self, vehicle: VehicleState, thrust: float | None, elapsed_s: float) -> None:
         """Learn from the thrust that somebody else holds the vehicle in the air with; None: not known."""
-        ours = vehicle.time_s - self._weighed_s < OTHERS_AFTER_S
+        ours = vehicle.time_s - self._weighed_s < LONGEST_STEP_S
         acting = self._held.step(None if ours else thrust, elapsed_s)
         if acting is not None:
             down = 1.0 if self._raises_thrust else math.cos(tilt_from_quat(vehicle.attitude))

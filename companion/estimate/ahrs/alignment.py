@@ -28,8 +28,9 @@ from companion.base.geometry import (
 )
 from companion.config import AlignmentConfig
 
-BLOCK_S: Final = 0.1
-LARGEST_BIAS_RAD_S: Final = math.radians(10.0)  # zero-rate output of the MPU9250: up to 5 deg/s an axis
+BLOCK_S: Final = 0.1  # long against vibration, of which it takes the mean, short against `still_s`
+# zero-rate output of the MPU9250: up to 5 deg/s an axis, 8.7 of three
+LARGEST_BIAS_RAD_S: Final = math.radians(10.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ import math
 from typing import Final
 
 from companion.base.geometry import (
+    DOWN,
     GRAVITY_M_S2,
     Quaternion,
     Vector3,
@@ -36,10 +37,7 @@ from companion.base.geometry import (
 GYRO_ERROR_RATE: Final = 0.01
 ACCEL_AVERAGE_S: Final = 2.0  # manoeuvres shorter than this average out of the specific force
 ACCEL_GATE_M_S2: Final = 0.8  # averages that differ more from gravity say nothing of the horizon
-MAG_GATE: Final = 0.15  # share of the field's size
-DIP_GATE_DEG: Final = 10.0
-
-GRAVITY_FORCE_NED: Final[Vector3] = (0.0, 0.0, -GRAVITY_M_S2)
+MAG_GATE: Final = 0.15  # a disturbance, as a share of the field: it turns the dip by its arc sine at most
 
 
 def blend(q_gyro: Quaternion, q_reference: Quaternion, gyro_error_rate: float, dt_s: float) -> Quaternion:
@@ -83,7 +81,7 @@ class OrientationFilter:
         self._field_ut = norm(field_ned_ut)
         self._dip_rad = math.asin(field_ned_ut[2] / self._field_ut)
         self.attitude = attitude
-        self._force_ned_m_s2 = GRAVITY_FORCE_NED
+        self._force_ned_m_s2 = scale(DOWN, -GRAVITY_M_S2)
         self.mag_trusted = True
 
     @property
@@ -111,7 +109,7 @@ class OrientationFilter:
         size = norm(field_body_ut)
         self.mag_trusted = abs(size - self._field_ut) < MAG_GATE * self._field_ut and abs(
             math.asin(max(-1.0, min(1.0, down / size))) - self._dip_rad
-        ) < math.radians(DIP_GATE_DEG)
+        ) < math.asin(MAG_GATE)
         if self.mag_trusted:
             half = 0.5 * math.remainder(self._declination_rad - math.atan2(east, north), math.tau)
             turn = (math.cos(half), 0.0, 0.0, math.sin(half))

@@ -59,39 +59,39 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import Quantity, SourceComparison
-from companion.estimate.motion import MotionHistory, rotation_lever
+from companion.config.estimate import PadFilterConfig
+from companion.estimate.motion import RATE_SPAN_S, MotionHistory, rotation_lever
 from companion.estimate.pad.pad_types import HIGHEST_ECHO_M, HeightMeasurement
 
 SCALE_STD: Final = 0.3  # before anything is known
 SCALE_WALK_RTS: Final = 1e-3  # a lens that heats, an echo's air
 SCALE_SPAN_S: Final = 3.0  # of sightings
-DELAY_WALK_S_RTS: Final = 1e-3
+DELAY_WALK_S_RTS: Final = 1e-3  # 8 ms in a minute: clocks drift apart; judged, not measured
+# of one that speeds up, brakes or turns; judged: 1.5 m/s2 are tested to be no scale
 PAD_ACCELERATION_M_S2: Final = 2.0
+# so long; by the pad filter's 1.5 s a pad of 71 % was not refused in small fast swings any more
 PAD_ACCELERATION_S: Final = 2.0
-FIRST_SPEED_M_S: Final = 3.0
 NOISE_M: Final = 0.005  # of a sighting's, at least: calibration errors, which turn with the view
 # of the attitude, from one second to the next, besides the noise of the gyroscope
 NOISE_RAD: Final = 0.003
-ATTITUDE_WANDERS_S: Final = 1.0
-ECHO_NOISE_M: Final = 0.03
+ATTITUDE_WANDERS_S: Final = 1.0  # see above
 SQUARE: Final = 1.1  # so near to the least noise of an echo it comes square to the board
 ECHO_SCALE_STD: Final = 0.003  # the speed of sound, which does not average out
 # what a builder measures: how the camera is turned, and its focal length, as a share
 MOUNT_STD_RAD: Final = 0.02
-FOCAL_STD: Final = 0.01
+FOCAL_STD: Final = 0.01  # see above
 # lower, an offset of the echoes of some centimetres, which never averages out, would pass for a wrong scale
 LOWEST_ECHO_M: Final = 1.0
 ECHO_APART_S: Final = 0.05  # an echo and a sighting of one moment
-RATE_SPAN_S: Final = 0.01
 LONGEST_GAP_S: Final = 1.0  # between sightings; then the pad's motion begins again, scale and delay stay
-OUTLIER: Final = 5.0
+OUTLIER: Final = 5.0  # standard deviations: a sighting of something else, not of noise
 MEDIAN_OF: Final = 7  # echoes
-LARGEST_DELAY_S: Final = 0.1
+LARGEST_DELAY_S: Final = 0.1  # stamps that are 90 ms off have been learnt to 1 ms
 UNSETTLED_S: Final = 0.005  # what is still to be corrected of the delay: less does not show in the scale
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
 _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
 _F, _BODY = 17, slice(11, 18)  # m is 14:17
-_STATES: Final = 18
+_STATES: Final = _BODY.stop
 _EYE: Final = np.eye(_STATES)
 _EYE.flags.writeable = False
 
@@ -106,11 +106,13 @@ class CameraCheck:
     def __init__(
         self,
         motion: MotionHistory,
-        delay_std_s: float,
+        config: PadFilterConfig,
         board_half_width_m: float,
         optical_axis_body: Vector3 = (0.0, 0.0, 1.0),
     ) -> None:
-        """`delay_std_s`: how far off the stamps may be before anything is known (s); 0: not at all."""
+        """Of the settings those of the stamps' delay, of an echo's noise and of a pad's first speed."""
+        delay_std_s, self._echo_noise_m = config.camera_delay_std_s, config.range_noise_m
+        self._first_speed_m_s = config.first_speed_std_m_s
         self._axis = np.array(optical_axis_body)
         self._motion, self._half_width_m = motion, board_half_width_m
         self._delay_walk = DELAY_WALK_S_RTS if delay_std_s > 0.0 else 0.0
@@ -169,7 +171,7 @@ class CameraCheck:
 
     def take_echo(self, time_s: float, echo: HeightMeasurement) -> None:
         """Take the height of the sensor over what is below it; aslant the beam's nearest point is another."""
-        if not LOWEST_ECHO_M <= echo.height_m <= HIGHEST_ECHO_M or echo.noise_m > SQUARE * ECHO_NOISE_M:
+        if not LOWEST_ECHO_M <= echo.height_m <= HIGHEST_ECHO_M or echo.noise_m > SQUARE * self._echo_noise_m:
             return
         self._echoes.append((time_s, echo.height_m + echo.sensor_offset_ned_m[2]))
 
@@ -203,7 +205,7 @@ class CameraCheck:
         newest_s = self._motion.newest_s
         end_s = min(time_s + 0.5 * RATE_SPAN_S, math.inf if newest_s is None else newest_s)
         corrected = self._motion.corrected(end_s - RATE_SPAN_S, end_s)
-        rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s, RATE_SPAN_S))
+        rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s))
         return subtract(rate, scale(corrected, 1.0 / RATE_SPAN_S))
 
     def _body(self, attitude: Quaternion, pad_body_m: Vector3) -> FloatArray:
@@ -223,7 +225,7 @@ class CameraCheck:
         seen = np.array(quat_rotate(attitude, pad_body_m))
         x[_Q], x[_V], x[_A] = seen - H @ x[_BODY], 0.0, 0.0
         P[:9, :], P[:, :9] = 0.0, 0.0
-        spread = (noise_m2, FIRST_SPEED_M_S**2, PAD_ACCELERATION_M_S2**2)
+        spread = (noise_m2, self._first_speed_m_s**2, PAD_ACCELERATION_M_S2**2)
         P[:9, :9] = np.diag(np.repeat(spread, 3))
         P[_Q, _K:] = -H @ P[_BODY, _K:]
         P[_K:, _Q] = P[_Q, _K:].T
@@ -307,7 +309,7 @@ class CameraCheck:
         self._heights_m = (self._time_s, down, height_m)
         H = np.zeros((1, _STATES))
         H[0, 2], H[0, _K], H[0, _R] = 1.0, -height_m, self._down_body
-        variance = 0.5 * math.pi / MEDIAN_OF * (float(self._x[_K]) * ECHO_NOISE_M) ** 2
+        variance = 0.5 * math.pi / MEDIAN_OF * (float(self._x[_K]) * self._echo_noise_m) ** 2
         self._update(-H @ self._x, H, np.array([[variance]]))
         self._heard = True
 
@@ -369,6 +371,6 @@ class CameraCheck:
                 f"{seen_m:.2f} m",
                 f"{heard_m:.2f} m",
                 difference=abs(seen_m - heard_m),
-                std=ECHO_NOISE_M / math.sqrt(MEDIAN_OF),
+                std=self._echo_noise_m / math.sqrt(MEDIAN_OF),
             ),
         )

@@ -25,7 +25,7 @@ from companion.base.geometry import FloatArray
 
 _SEEN: Final = 2  # a measurement says so much: a pair of states
 PLACE, SPEED = 0, 2  # the first of the pair that a position says, and a velocity
-_ADJUGATE: Final = np.array([[1.0, -1.0], [-1.0, 1.0]])
+_ADJUGATE: Final = np.array([[1.0, -1.0], [-1.0, 1.0]])  # signs of a 2 x 2 matrix's adjugate
 
 
 class BankState(NamedTuple):

@@ -25,7 +25,7 @@ from companion.estimate.motion import MotionHistory
 # long against a sighting's noise, short against a pad's manoeuvres; then what a glimpse of the pad allows
 APART_S: Final = (0.2, 0.1)
 NEAR: Final = 0.25  # a sighting this near to that distance, as a share of it, will do
-PAD_ACCELERATION_M_S2: Final = 1.0
+PAD_ACCELERATION_M_S2: Final = 1.0  # of a pad between three sightings; judged, not measured
 NOISE_M: Final = 0.01  # of a sighting's, at least
 # the pad's way against the vehicle is measured too: less of it than this many standard deviations is noise
 LEAST_SIGNAL: Final = 4.0

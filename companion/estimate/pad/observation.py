@@ -20,7 +20,7 @@ from companion.estimate.motion import VehiclePlace
 from companion.estimate.pad.model_bank import ModelTransition
 
 FIRST: Final = 8  # the states before those of common errors are the pad's
-_NO_AXIS_M2: Final = 1e-12  # the vertical has no second axis
+NO_AXIS_M2: Final = 1.0  # the vertical has no second axis, on which all models expect the same
 
 
 class CommonError(NamedTuple):
@@ -40,7 +40,7 @@ class CommonError(NamedTuple):
     def variances_m2(self) -> FloatArray:
         """Of the plane's and the vertical's pair of states (2, 2)."""
         north, east, down = self.std_ned_m
-        return np.array([[north**2, east**2], [down**2, _NO_AXIS_M2]])
+        return np.array([[north**2, east**2], [down**2, NO_AXIS_M2]])
 
 
 class RelativeVelocity(NamedTuple):

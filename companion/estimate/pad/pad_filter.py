@@ -32,7 +32,7 @@ from companion.estimate.pad.model_bank import (
     advance,
     innovation,
 )
-from companion.estimate.pad.observation import FIRST, CommonError, RelativeFix, with_common
+from companion.estimate.pad.observation import FIRST, NO_AXIS_M2, CommonError, RelativeFix, with_common
 from companion.estimate.pad.pad_models import (
     HORIZONTAL,
     TURN,
@@ -69,7 +69,6 @@ FIRST_CLIMB_STD_M_S: Final = 0.4  # at the first sighting: pads drive, but hardl
 
 _NOISE_FLOOR_M2: Final = 0.0002**2 * EYE3  # of a sighting
 _CLIMB: Final = 1  # the second of the bank's groups
-_NO_AXIS_M2: Final = 1.0  # noise on the vertical models' second axis, where all expect the same
 
 # the models' innovations, the mixture's, and its covariance by the upper triangle
 _Compared = tuple[Innovation, Vector3, tuple[float, ...]]
@@ -279,7 +278,7 @@ class PadFilter:
         """Of a relative position, or another sum of pairs; variances: north, with east, east, down."""
         north, east, down = value_ned
         a, b, d, f = variances
-        groups = np.array([[north, east, a, b, b, d], [down, 0.0, f, 0.0, 0.0, _NO_AXIS_M2]])
+        groups = np.array([[north, east, a, b, b, d], [down, 0.0, f, 0.0, 0.0, NO_AXIS_M2]])
         models = groups.take(self._bank.group_of, axis=0)
         return innovation(self._bank.state, models[:, :2], models[:, 2:].reshape(-1, 2, 2), pairs)
 

@@ -39,24 +39,24 @@ from companion.base.motion import COURSE_M_S
 from companion.config import PadFilterConfig
 
 STEADY_ACCELERATION_STD_M_S2: Final = 0.15  # a pad that drives straight on: bumps, and the horizon's error
-STEADY_TIME_CONSTANT_S: Final = 1.0
+STEADY_TIME_CONSTANT_S: Final = 1.0  # of those bumps; judged
 MANOEUVRE_TIME_CONSTANT_S: Final = 1.5  # one that speeds up or brakes does so for so long
 TURN_TIME_CONSTANT_S: Final = 20.0  # one that turns
-TURN_ACCELERATION_STD_M_S2: Final = 0.8
+TURN_ACCELERATION_STD_M_S2: Final = 0.8  # as of 4 m/s on a circle of 20 m; judged
 TURN_JERK_M_S3_RTHZ: Final = 0.05  # bumps, besides the jerk that lasts
 TURN_JERK_TIME_CONSTANT_S: Final = 3.0  # a bend begins, and ends, within so long
 SWAY_DAMPING: Final = 0.2  # how far real periods stray from the models'
-WAVE_DAMPING: Final = 0.12
+WAVE_DAMPING: Final = 0.12  # the same of waves, of whose periods there are several; judged
 REST_ACCELERATION_STD_M_S2: Final = 0.05  # vertically, of a pad that rides no waves
 
 # how far a pad's heading and its course may turn apart, and how fast courses turn at all
 HEADING_IS_COURSE_RAD_S: Final = 0.1
-STRAIGHT_ON_RAD_S: Final = 0.5
+STRAIGHT_ON_RAD_S: Final = 0.5  # see above
 HORIZONTAL: Final = ("steady", "manoeuvre", "turn", "sway")
 TURN: Final = HORIZONTAL.index("turn")
 # with poles of some 1/s, ten terms at a tenth of a second leave 1e-12
 SHORT_S: Final = 0.1
-TERMS: Final = 10
+TERMS: Final = 10  # see above
 
 _EXPONENTS: Final = np.arange(float(TERMS))
 # where, in a flat (8, 8), the complex factors of acceleration and jerk stand, as blocks that multiply by them

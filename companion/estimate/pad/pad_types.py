@@ -23,7 +23,8 @@ from companion.estimate.pad.velocity_step import RefusedSighting
 # where (position, velocity, acceleration) of the three axes are in both groups' means (2, 8), and their
 # covariances in those (2, 8, 8); between the groups there is none, as on the vertical's second axis
 STATES_AT: Final = np.array([8 * (axis // 2) + 2 * kind + axis % 2 for kind in range(3) for axis in range(3)])
-_NONE: Final = 64 + 9
+_NONE: Final = 64 + 9  # an element that is zero: the vertical's first with its second axis
+# see above
 PAIRS_AT: Final = np.array(
     [
         [64 * (i // 8) + 8 * (i % 8) + j % 8 if i // 8 == j // 8 else _NONE for j in STATES_AT]

@@ -13,11 +13,12 @@ import math
 from typing import Final, NamedTuple
 
 SWING_S: Final = 15.0  # memory of mean and swing: two or three periods of a ship's roll
+# of a tilt that a first sighting leaves open: a deck's that rolls; judged
 FIRST_STD_RAD: Final = math.radians(8.0)
-FIRST_RATE_STD_RAD_S: Final = math.radians(10.0)
+FIRST_RATE_STD_RAD_S: Final = math.radians(10.0)  # as of one that swings by so much in 5 s; judged
 JITTER_RAD: Final = math.radians(0.2)  # of our own attitude, from frame to frame
 QUICKEST_RAD_S: Final = math.tau / 2.0  # no deck swings quicker
-SLOWEST_RAD_S: Final = math.tau / 20.0
+SLOWEST_RAD_S: Final = math.tau / 20.0  # nor slower: a slope is what it is then
 STILL_RAD: Final = math.radians(0.5)  # a smaller swing is noise: it has no period
 
 

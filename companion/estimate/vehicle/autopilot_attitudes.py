@@ -35,20 +35,19 @@ from companion.base.geometry import (
     quat_multiply,
 )
 from companion.base.messages import AutopilotAttitude
-from companion.estimate.motion import MotionHistory
+from companion.estimate.motion import WRONG_FOR_S, MotionHistory
 from companion.estimate.vehicle.attitude_check import AttitudeCheck, heading_between
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, SecondAttitudeStep, at_rest
 from companion.estimate.vehicle.gyro_bias_check import BiasStep, SecondGyro
 
-GAP_S: Final = 0.05  # between two samples: more is a gap
 THEIR_STD_RAD: Final = math.radians(1.0)  # of their horizon, in flight
-DEVIATIONS: Final = 4.0
+DEVIATIONS: Final = 4.0  # of what is compared in every report of a flight: one in 16000
 SURELY_RAD: Final = DEVIATIONS * THEIR_STD_RAD
-LEAST_APART_RAD: Final = math.radians(5.0)  # in a steady stream
-AFTER_GAP_RAD: Final = math.radians(1.5)
-MISTIMED_S: Final = 0.03  # their reports and our samples: a turn makes that much of difference
-PERSISTS_S: Final = 0.2
-REPORTS_KEPT: Final = 50
+AFTER_GAP_RAD: Final = math.radians(1.5)  # after a gap, or of an uncertain attitude of ours; judged
+# their reports and our samples: a turn makes that much; by the second gyroscope's 0.05 s a reset at 10 deg/s
+# is late
+MISTIMED_S: Final = 0.03
+REPORTS_KEPT: Final = 50  # two seconds of them at 25 Hz: after that ours begins again
 
 
 class OwnAttitude(NamedTuple):
@@ -68,7 +67,7 @@ class OwnAttitude(NamedTuple):
 class AttitudeFinding(NamedTuple):
     """A step for the EKF, to be taken at `time_s`.
 
-    From `since_s` on our attitudes were wrong by what the step turns them by; `words` tell of that.
+    Since `since_s` our attitudes are wrong by what the step turns them by; `words` tell of that.
     """
 
     step: AttitudeStep | BiasStep | SecondAttitudeStep
@@ -80,18 +79,15 @@ class AttitudeFinding(NamedTuple):
 class AutopilotAttitudes:
     """Feed it every report (`due`), then of each that is due what is ours (`shown_by`)."""
 
-    def __init__(self, motion: MotionHistory) -> None:
-        self._motion = motion
-        self._since_s = -math.inf if motion.newest_s is None else motion.newest_s
+    def __init__(self, motion: MotionHistory, since_s: float) -> None:
+        """`since_s`: when the alignment was; what `motion` held before is of another."""
+        self._motion, self._since_s = motion, since_s
         self._waiting: deque[AutopilotAttitude] = deque(maxlen=REPORTS_KEPT)
-        self.check, self.reset = AttitudeCheck(motion), AttitudeReset()
+        self.check, self._reset = AttitudeCheck(motion), AttitudeReset(motion, since_s)
         self._second_gyro = SecondGyro(motion)
 
     def due(self, report: AutopilotAttitude) -> Iterator[tuple[AutopilotAttitude, Quaternion]]:
-        """Take a report; those that our own samples have come up to, each with ours at its time.
-
-        What `motion` held at the start is of another alignment, and no report is compared with that.
-        """
+        """Take a report; those that our own samples have come up to, each with ours at its time."""
         self._waiting.append(report)
         newest_s = self._motion.newest_s
         while newest_s is not None and self._waiting and self._waiting[0].time_s <= newest_s:
@@ -102,9 +98,9 @@ class AutopilotAttitudes:
 
     def shown_by(self, report: AutopilotAttitude, own: OwnAttitude) -> AttitudeFinding | None:
         """What a report that is due shows of ours, if anything; of one within a gap ours is not known."""
-        if self.reset.waits(report.time_s):
+        if self._motion.in_gap(report.time_s):
             return None
-        found = self.reset.compare(report, own, self.check.heading_rad) if report.same_imu else None
+        found = self._reset.compare(report, own, self.check.heading_rad) if report.same_imu else None
         if found is not None:
             return found
         self.check.compare(report, own.attitude)
@@ -119,17 +115,10 @@ class AutopilotAttitudes:
 class AttitudeReset:
     """Resets ours to the autopilot's, report by report, where both use the same IMU."""
 
-    def __init__(self) -> None:
+    def __init__(self, motion: MotionHistory, since_s: float = -math.inf) -> None:
+        self._motion = motion
+        self._compared_s = since_s
         self._wrong_since_s: float | None = None
-        self._gap: tuple[float, float] | None = None  # its end, and how long it was
-
-    def note_gap(self, time_s: float, lasted_s: float) -> None:
-        """Our stream goes on at time_s, after nothing had come for so long."""
-        self._gap = (time_s, lasted_s)
-
-    def waits(self, time_s: float) -> bool:
-        """Whether a gap is not over at a time."""
-        return self._gap is not None and time_s < self._gap[0]
 
     def compare(
         self, report: AutopilotAttitude, own: OwnAttitude, ahead_rad: float | None
@@ -142,18 +131,19 @@ class AttitudeReset:
         std_rad = math.sqrt(north + east)
         limit_rad = DEVIATIONS * math.hypot(std_rad, THEIR_STD_RAD) + MISTIMED_S * own.turning_rad_s
         wrong_since_s, self._wrong_since_s = self._wrong_since_s, None
-        gap, self._gap = self._gap, None
+        compared_s, self._compared_s = self._compared_s, max(self._compared_s, report.time_s)
+        missing_s = self._motion.missing_s(compared_s, report.time_s)
         since_s, apart_rad = report.time_s, tilt_rad
-        if gap is not None:
-            since_s, apart_rad = gap[0], math.hypot(tilt_rad, off_rad)
-            why = f"{1e3 * gap[1]:.0f} ms of IMU data missing"
+        if missing_s > 0.0:
+            since_s, apart_rad = compared_s, math.hypot(tilt_rad, off_rad)
+            why = f"{1e3 * missing_s:.0f} ms of IMU data missing"
             wrong = tilt_rad > AFTER_GAP_RAD or abs(off_rad) > SURELY_RAD
         elif std_rad > SURELY_RAD:
             wrong, why = tilt_rad > AFTER_GAP_RAD, "ours was uncertain"
         else:
             since_s = report.time_s if wrong_since_s is None else wrong_since_s
-            differs = tilt_rad > max(limit_rad, LEAST_APART_RAD)
-            wrong, why = differs and report.time_s - since_s >= PERSISTS_S, "its horizon differs"
+            differs = tilt_rad > limit_rad
+            wrong, why = differs and report.time_s - since_s >= WRONG_FOR_S, "its horizon differs"
             if differs and not wrong:
                 self._wrong_since_s = since_s
         if not wrong:

@@ -41,6 +41,7 @@ from companion.estimate.gating import Gate, normalised_innovation_squared
 from companion.estimate.motion import misled_velocity_m_s
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_inputs import (
+    UNKNOWN_RAD,
     AttitudeStep,
     EkfInput,
     GpsStep,
@@ -48,14 +49,12 @@ from companion.estimate.vehicle.ekf_inputs import (
     SecondAttitudeStep,
 )
 from companion.estimate.vehicle.ekf_start import MOVING_SPEED_M_S, InitialState
-from companion.estimate.vehicle.ekf_state import EYE, FIXES, EkfSnapshot, EkfState
+from companion.estimate.vehicle.ekf_state import FIXES, EkfSnapshot, EkfState
 from companion.estimate.vehicle.fix_watch import LastFix
 from companion.estimate.vehicle.gyro_bias_check import STRIDE_S, BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import YawError
 
-MAG_DIP_NOISE_UT: Final = 50.0  # of the field in its own vertical plane, which gives no heading: all of it
-UNKNOWN_HEADING_RAD: Final = math.pi
 MAG_REFUSED_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
 WRONG_HEADING_RAD: Final = math.radians(30.0)  # by so much
 GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 5 Hz
@@ -63,7 +62,7 @@ GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 
 GPS_TIMEOUT_S: Final = 2.0
 
 STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope shows
-SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
+SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)  # a step is of some 2 deg/s (decision 40)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)  # by the time that fixes show it
 LARGEST_CARRIED: Final = 0.02  # of a quaternion's component, by a late fix: 2 deg
 
@@ -78,7 +77,7 @@ class VehicleEkf(EkfState):
 
     def apply(self, time_s: float, item: EkfInput) -> None:
         """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
-        self._moved = EYE
+        self._moved = model.EYE
         if isinstance(item, GpsStep):
             self._take_gps(time_s, item)
             return
@@ -127,7 +126,7 @@ class VehicleEkf(EkfState):
         if self.fix_watch.suspect(self.time_s) or np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
             return None
         fixed = {kind: gate for kind, gate in self.gates.items() if kind in FIXES}
-        after, since = [self.snapshot()], EYE
+        after, since = [self.snapshot()], model.EYE
         for past in later:
             if (moved := past.moved) is None:
                 return None
@@ -196,13 +195,13 @@ class VehicleEkf(EkfState):
         """Variance (3, 3) about NED axes: a pre-filter's heading is the field's, which counts by itself; of
         one that is refused it tells nothing either."""
         counted = self.gates.get("mag", Gate()).accepted
-        return model.diagonal(0.0, 0.0, UNKNOWN_HEADING_RAD**2 if counted else 0.0)
+        return model.diagonal(0.0, 0.0, UNKNOWN_RAD**2 if counted else 0.0)
 
     def _unjudged(self) -> FloatArray:
         """Variance (3, 3) about NED axes of what the pre-filter cannot judge: while fixes hold the heading, a
         compass that keeps to one side is its own matter. A steel deck turns it so, within size and dip."""
         known = self._fixes_fit and self.gates.get("mag", Gate()).accepted
-        return model.diagonal(0.0, 0.0, UNKNOWN_HEADING_RAD**2 if known else 0.0)
+        return model.diagonal(0.0, 0.0, UNKNOWN_RAD**2 if known else 0.0)
 
     @property
     def _fixes_fit(self) -> bool:
@@ -265,12 +264,14 @@ class VehicleEkf(EkfState):
 
         A disturbance stays for its correlation time T: of f samples a second each has 2 T f times its
         variance, as white noise that errs as much over longer times (a Gauss-Markov process does).
-        Indoors and near iron size and dip err by more than the tilt: a field shows the heading alone.
+        Indoors and near iron size and dip err by more than the tilt: a field shows the heading alone. All of
+        it is noise in its own vertical plane, which gives none.
         """
         config = self._config
         alike = 2.0 * config.mag_wander_s * config.mag_rate_hz
         across = config.mag_noise_ut**2 + alike * disturbance_ut2
-        along = max(MAG_DIP_NOISE_UT**2, across)
+        field = self.x[model.FIELD]
+        along = max(float(field @ field), across)
         return along * EYE3 - (along - across) * (east[:, None] * east)
 
     def _suspect_bias(self, for_s: float = 0.0) -> None:

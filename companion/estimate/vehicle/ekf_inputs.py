@@ -22,11 +22,11 @@ from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 # Of the autopilot's attitude at rest. The horizons of the three calibrated IMUs on one board, in each of two
 # flight logs, differ by 0.5 deg an axis (standard deviation); the boards may lie askew by as much again.
 OTHER_COMPASS_STD_RAD: Final = math.radians(3.0)
-OTHER_HORIZON_STD_RAD: Final = math.radians(0.8)
+OTHER_HORIZON_STD_RAD: Final = math.radians(0.8)  # see above: 0.5 and as much again by the boards
 # Further off one of the two boards lies askew, and nothing at rest tells which: the heading alone counts.
 # Further still it is no attitude of this vehicle, and the gate refuses it as a whole.
 OTHER_HORIZON_ASKEW_RAD: Final = (math.radians(3.0), math.radians(10.0))
-UNKNOWN_STD_RAD: Final = math.radians(45.0)
+UNKNOWN_RAD: Final = math.pi  # of an angle of which nothing is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +88,7 @@ def at_rest(ours: Quaternion, theirs: Quaternion) -> SecondAttitudeStep:
     turn = rotation_vector_from_quat(quat_multiply(theirs, quat_conjugate(ours)))
     least, most = OTHER_HORIZON_ASKEW_RAD
     askew = least < math.hypot(turn[0], turn[1]) <= most
-    return SecondAttitudeStep(
-        turn, UNKNOWN_STD_RAD if askew else OTHER_HORIZON_STD_RAD, OTHER_COMPASS_STD_RAD
-    )
+    return SecondAttitudeStep(turn, UNKNOWN_RAD if askew else OTHER_HORIZON_STD_RAD, OTHER_COMPASS_STD_RAD)
 
 
 def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig, usual_force_error_m_s2: float) -> GpsStep:

@@ -58,8 +58,8 @@ ATTITUDE: Final = slice(QUATERNION.start, EULER.stop)
 IMU_BIASES: Final = slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
 
 
-_ATTITUDE_SHOWN: Final = np.eye(4, STATES)
-_ATTITUDE_SHOWN.flags.writeable = False
+EYE: Final = np.eye(STATES)
+EYE.flags.writeable = False
 
 
 def diagonal(x: float, y: float, z: float) -> FloatArray:
@@ -267,7 +267,7 @@ def gps_velocity_model(
 
 def attitude_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The orientation filter's quaternion (Fig. 6): values (4,) and Jacobian (4, 31)."""
-    return x[QUATERNION].copy(), _ATTITUDE_SHOWN
+    return x[QUATERNION].copy(), EYE[QUATERNION]
 
 
 def attitude_covariance(q: Quaternion, rotation_ned_covariance: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from companion.base.geometry import EYE3, FloatArray, Quaternion, euler_from_qua
 from companion.base.late_import import imported_late
 from companion.config import EkfConfig
 from companion.estimate.gating import Gate, fits
-from companion.estimate.motion import LONGEST_STEP_S, unseen_velocity_m2_s2
+from companion.estimate.motion import LONGEST_STEP_S, unseen_turn_rad2, unseen_velocity_m2_s2
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_start import (
     TINY_VARIANCE,
@@ -38,11 +38,7 @@ with imported_late("filterpy.stats", "filterpy.discrete_bayes"):
     from filterpy.kalman import ExtendedKalmanFilter
 
 FIXES: Final = frozenset({"gps_velocity", "gps_position"})
-UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
-UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
-EYE4: Final = np.eye(4)
-EYE: Final = np.eye(model.STATES)
-EYE.flags.writeable = False
+EYE4: Final = model.EYE[model.QUATERNION, model.QUATERNION]
 
 
 class EkfSnapshot(NamedTuple):
@@ -81,7 +77,7 @@ class EkfState:
         self.watch = InnovationWatch()
         self.yaw_error = YawError.first()
         self.force_density_m2_s3 = 0.0  # of the force's own noise on an axis, in the last prediction
-        self._moved: FloatArray | None = EYE
+        self._moved: FloatArray | None = model.EYE
         self._rotation: tuple[FloatArray, FloatArray, FloatArray] | None = None  # its covariance, of x and P
 
     def snapshot(self) -> EkfSnapshot:
@@ -154,7 +150,7 @@ class EkfState:
         P[:n, :n] += G @ G.T
         diagonal[:7] += TINY_VARIANCE
         self.P = P
-        self._moved = EYE.copy()
+        self._moved = model.EYE.copy()
         self._moved[:n, :m] = A
         self.time_s = time_s
 
@@ -173,15 +169,13 @@ class EkfState:
         a second. Of a longer step than any in a healthy stream see `unseen_velocity_m2_s2`.
         """
         config = self._config
-        unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
         p, q, r = noise.lasting_rate_rad_s
         r = 0.0 if self.has_position else r  # a yaw's are in `yaw_error`
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + noise.rate_density_rad2_s * dt_s
         turn += GYRO_SCALE_ERROR**2 * (p * p + q * q + r * r) * dt_s
         velocity = self.force_density_m2_s3 * dt_s
         velocity += noise.force_error_m_s2**2 * FORCE_ERROR_S * dt_s
-        rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
-        return turn + (rate * unseen_s) ** 2, velocity + unseen_velocity_m2_s2(dt_s)
+        return turn + unseen_turn_rad2(dt_s), velocity + unseen_velocity_m2_s2(dt_s)
 
     def _update(
         self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, gate_noise: FloatArray | None
@@ -203,7 +197,7 @@ class EkfState:
         ekf = self._filter
         ekf.x, ekf.P = self.x, self.P
         ekf.update(innovation, lambda _: C, lambda _: 0.0, R)
-        x, P, L = ekf.x, ekf.P, EYE - ekf.K @ C
+        x, P, L = ekf.x, ekf.P, model.EYE - ekf.K @ C
         J = self._normalise(x)
         yaw_error = self.yaw_error.learnt(innovation, C, ekf.SI) if by_fix else self.yaw_error
         self.yaw_error = yaw_error.considered(C, ekf.K, J)

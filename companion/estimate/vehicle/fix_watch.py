@@ -23,19 +23,22 @@ from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
 from companion.estimate.gating import CHI_SQUARE_999
 from companion.estimate.vehicle.innovation_watch import WINDOW_S
 
+# What follows is judged by two flights (decision 42): a step of 3 deg/s is found, a receiver that hangs is no
+# error of the attitude.
 EXCESS_SHARE: Final = 0.35  # of a new fix in the fading mean of the tests
 SCATTER_SHARE: Final = 0.1  # the same, for the noise
 DIRECTION_SHARE: Final = 0.2  # and in that of the direction
 BOUND: Final = 4.5  # of the tests' mean, a degree of freedom; 1 when all is well
 LARGEST_TEST: Final = 10.0  # one outlier counts as no more
 ONE_SIDED: Final = 0.75  # the mean's square against the mean square: 1 when all point the same way
+# the square of a fading mean of independent ones, as a share of theirs
 _CHANCE: Final = DIRECTION_SHARE / (2.0 - DIRECTION_SHARE)
-CHANCE_MARGIN: Final = 2.0
+CHANCE_MARGIN: Final = 2.0  # so many times that are chance still; judged
 FORCE_ERROR_S: Final = 1.0  # an erroneous force stays off for so long
 DRIFT_S: Final = 0.2  # a force that is off leads the velocity away for so long before a fix shows it
 MOST_REFUSED: Final = 5  # in a row; a jump needs more to show its direction
 HEADING_S: Final = 5.0  # changes of velocity count for the heading that it has had for so long
-LONGEST_CHANGE_S: Final = 1.0  # between two fixes
+FRESH_S: Final = 1.0  # a fix: receivers give one a second at least
 DRIFT_SPAN_S: Final = 2.0  # a force that is off for a second or so shows by then, beside a receiver's noise
 DRIFT_SPANS: Final = 10  # the fading mean goes back so far
 
@@ -122,7 +125,7 @@ class FixWatch(NamedTuple):
         force for a second or so.
         """
         last, elapsed_s = self.last, math.inf if self.last is None else fix.time_s - self.last.time_s
-        if last is None or not 0.0 < elapsed_s <= LONGEST_CHANGE_S:
+        if last is None or not 0.0 < elapsed_s <= FRESH_S:
             drift = self.drift.interrupted()
             return self._replace(last=fix, turn_information=0.0, informed_turn=0.0, drift=drift)
         north, east, _ = ours = subtract(predicted_m_s, last.estimated_m_s)

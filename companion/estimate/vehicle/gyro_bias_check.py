@@ -34,15 +34,16 @@ from companion.base.geometry import (
     subtract,
 )
 from companion.base.messages import AutopilotAttitude
+from companion.estimate.ahrs.alignment import LARGEST_BIAS_RAD_S
 from companion.estimate.motion import MotionHistory, turn_between
 
-WINDOW_S: Final = 0.75
+WINDOW_S: Final = 0.75  # a step of 2 deg/s is found within a second (decision 40)
 STRIDE_S: Final = 0.25  # from one window's start to the next's
-LONGEST_GAP_S: Final = 0.6  # in the autopilot's reports
-STEP_RAD_S: Final = math.radians(0.7)  # from the present bias, to be a step
-AGREE_RAD_S: Final = math.radians(0.5)  # of two windows, one after the other
-LARGEST_RAD_S: Final = math.radians(5.0)  # more is no bias
-WRONG_TIME_S: Final = 0.05  # of the autopilot's reports
+# what two windows differ by at most to agree, and from the present bias at least; each finds it to 0.3 deg/s
+STEP_RAD_S: Final = math.radians(0.7)
+WRONG_TIME_S: Final = (
+    0.05  # of the autopilot's reports, beside our samples: a turn makes that much of difference
+)
 SKEW: Final = 0.02  # of a turn: how far the two IMUs may lie askew (rad), and differ in scale
 LEAST_SHARE: Final = 0.25  # of a window's change, in each of its strides
 
@@ -83,7 +84,7 @@ class SecondGyro:
 
     def _compare(self, anchor: _Anchor) -> BiasStep | None:
         (time_s, _, gyro_bias_rad_s), anchors = anchor, self._anchors
-        if anchors and abs(time_s - anchors[-1].time_s) >= LONGEST_GAP_S:
+        if anchors and abs(time_s - anchors[-1].time_s) >= WINDOW_S:
             anchors.clear()
             self._last = None
         if anchors and time_s - anchors[-1].time_s < STRIDE_S:
@@ -102,7 +103,7 @@ class SecondGyro:
         return BiasStep(bias, time_s - window[0].time_s + STRIDE_S)
 
     def _is_step(self, window: list[_Anchor], last: Vector3, bias: Vector3, assumed: Vector3) -> bool:
-        if norm(subtract(bias, last)) > AGREE_RAD_S or norm(bias) > LARGEST_RAD_S:
+        if norm(subtract(bias, last)) > STEP_RAD_S or norm(bias) > LARGEST_BIAS_RAD_S:
             return False
         change, earlier = subtract(bias, assumed), subtract(last, assumed)
         if min(norm(change), norm(earlier)) < STEP_RAD_S:

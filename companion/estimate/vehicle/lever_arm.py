@@ -34,10 +34,11 @@ from companion.estimate.gating import fits
 from companion.estimate.motion import LEVER_STD_M
 
 LEVER_WALK_M_RTS: Final = 1e-4  # dampers give way
-BLOCK_S: Final = 0.04
+BLOCK_S: Final = 0.04  # twice, as a triangle: rotor tones leave nothing in it, as in `imu_noise`
 # what the air's force, with the vehicle's own speed, changes by in a second; a multirotor's thrust: all of it
 AIR_WALK_M_S2_RTS: Final = 1.0
 THRUST_WALK_M_S2_RTS: Final = GRAVITY_M_S2
+# of all six states
 _WALK: Final = np.diag([LEVER_WALK_M_RTS**2] * 3 + [AIR_WALK_M_S2_RTS**2] * 2 + [THRUST_WALK_M_S2_RTS**2])
 _ARM, _ELSE = slice(0, 3), slice(3, 6)
 
@@ -66,10 +67,7 @@ class _Block:
 
 
 class LeverArm:
-    """Feed it every sample; `position_body_m` is the accelerometer's place from the centre of mass.
-
-    `covariance_m2` (3, 3) is that place's.
-    """
+    """Feed it every sample; `position_body_m` is the accelerometer's place from the centre of mass."""
 
     def __init__(self, told_body_m: Vector3) -> None:
         """`told_body_m`: by the vehicle's file."""
@@ -78,9 +76,14 @@ class LeverArm:
         self._x = np.zeros(6)
         P = np.zeros((6, 6))
         self._x[_ARM], P[_ARM, _ARM] = told_body_m, LEVER_STD_M**2 * EYE3
-        self._take_covariance(P)
+        self._P = P
         self._last: _Block | None = None
         self._block, self._begun = _Block(), False
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Of that place (3, 3)."""
+        return self._P[_ARM, _ARM]
 
     def felt_m_s2(self, before_rad_s: Vector3, rate_rad_s: Vector3, dt_s: float) -> Vector3:
         """What is felt there of a turn (m/s2, body) between two rates dt_s apart.
@@ -134,7 +137,7 @@ class LeverArm:
         if not self._begun:
             self._begin(f - H[:, _ARM] @ self._x[_ARM])
             return
-        self._take_covariance(self._P + span_s * _WALK)
+        self._P = self._P + span_s * _WALK
         north, east, down, *_ = self._P.diagonal().tolist()
         # neighbouring triangles share a block: together they tell as much as blocks do
         turned = north + east + down + float(self._x[_ARM] @ self._x[_ARM])
@@ -147,11 +150,8 @@ class LeverArm:
         K = np.linalg.solve(spread, PH.T).T
         self._x = self._x + K @ innovation
         P = self._P - K @ PH.T
-        self._take_covariance(0.5 * (P + P.T))
+        self._P = 0.5 * (P + P.T)
         self.position_body_m = vector3(self._x[_ARM])
-
-    def _take_covariance(self, P: FloatArray) -> None:
-        self._P, self.covariance_m2 = P, P[_ARM, _ARM]
 
     def _begin(self, other_m_s2: FloatArray) -> None:
         """What else is felt is anything."""

@@ -27,6 +27,7 @@ from companion.base.geometry import (
 )
 from companion.base.magnetic_field import field_here
 from companion.base.messages import (
+    IMU_PREDICTED_S,
     IMU_TIMEOUT_S,
     AutopilotAttitude,
     GpsFix,
@@ -44,9 +45,9 @@ from companion.estimate.ahrs.orientation import (
     tilt_noise_rad,
 )
 from companion.estimate.gating import Gate, Timeline
-from companion.estimate.motion import PREDICTED_S, MotionHistory, VehiclePlace
+from companion.estimate.motion import MotionHistory, VehiclePlace
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.autopilot_attitudes import GAP_S, AutopilotAttitudes, OwnAttitude
+from companion.estimate.vehicle.autopilot_attitudes import AutopilotAttitudes, OwnAttitude
 from companion.estimate.vehicle.ekf import GPS_TIMEOUT_S, VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
 from companion.estimate.vehicle.ekf_start import start_state
@@ -61,11 +62,9 @@ from companion.estimate.vehicle.strapdown import Strapdown
 ALIGNED_STD_RAD: Final = math.radians(20.0)  # an attitude known less well is none to fly by
 ORIENTATION_RATE_HZ: Final = 10.0  # the pre-filter's error lasts: more often would say nothing new
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
-_AGREES_S = 0.5  # two samples so near each other agree on a time that is far from what was
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
-LONGEST_STEP_S = 0.1  # between two samples of the magnetometer that the pre-filter takes in
 
 
 class VehicleEstimator:
@@ -111,7 +110,7 @@ class VehicleEstimator:
         self._strapdown = Strapdown()
         self._span_s: float | None = None  # of the samples in it, by their own clock
         self._fields.start_over()
-        self._attitudes = AutopilotAttitudes(self.motion)
+        self._attitudes = AutopilotAttitudes(self.motion, self.newest_s)
 
     # ------------------------------------------------------------ inputs
 
@@ -127,8 +126,8 @@ class VehicleEstimator:
         if elapsed_s <= 0.0:
             return False
         leap_s, self._leap_s = self._leap_s, -math.inf
-        if LOST_S < elapsed_s < math.inf and not 0.0 < sample.time_s - leap_s <= _AGREES_S:
-            self._leap_s = sample.time_s  # believed once the next one continues from it
+        if LOST_S < elapsed_s < math.inf and not 0.0 < sample.time_s - leap_s <= LOST_S:
+            self._leap_s = sample.time_s  # believed once the next one continues from it, without a leap
             return False
         # a time that was turned from another clock into ours jitters, and may jump when that has stood still
         dt_s = elapsed_s if sample.interval_s is None else sample.interval_s
@@ -143,8 +142,6 @@ class VehicleEstimator:
                 self._still_block = block.still
                 self._resting &= block.still
             self._span_s = None if sample.interval_s is None else (self._span_s or 0.0) + dt_s
-            if dt_s > GAP_S:
-                self._attitudes.reset.note_gap(sample.time_s, dt_s)
             self._move(sample, dt_s)
             self._collect(sample, dt_s)
         if block is not None and self._aligner is not None:
@@ -155,7 +152,7 @@ class VehicleEstimator:
         """Take one sample; False when it is not newer than the last."""
         if sample.time_s <= self._mag_s:
             return False
-        dt_s = min(sample.time_s - self._mag_s, LONGEST_STEP_S)
+        dt_s = min(sample.time_s - self._mag_s, MAG_TIMEOUT_S)
         self._mag_s = sample.time_s
         if self._aligner is not None:
             self._aligner.add_field(sample.field_body_ut)
@@ -221,7 +218,7 @@ class VehicleEstimator:
         if ekf.x is before:
             return  # it has been refused
         if isinstance(step, AttitudeStep):
-            self.motion.turn(found.since_s, step.turn)
+            self.motion.turn(found.since_s, found.time_s, step.turn)
             inertial.attitude = quat_multiply(step.turn, inertial.attitude)  # as the history
             self.corrections += (found.words,)
         self._read_ekf()
@@ -270,7 +267,11 @@ class VehicleEstimator:
         velocity, moved = vector3(x[model.VELOCITY]), self.motion.moved(ekf.time_s, time_s)[0]
         position = add(vector3(x[model.POSITION]), scale(velocity, time_s - ekf.time_s))
         return VehiclePlace(
-            add(position, moved), vector3(std[model.POSITION]), vector3(std[model.VELOCITY]), origin
+            add(position, moved),
+            vector3(std[model.POSITION]),
+            vector3(std[model.VELOCITY]),
+            origin,
+            self._config.ekf.gps_wander_s,
         )
 
     def state(self, now_s: float, link_late_s: float = 0.0) -> VehicleState | None:
@@ -292,7 +293,7 @@ class VehicleEstimator:
             time_s=now_s,
             attitude=self._attitude_near(max(now_s, self.newest_s)),
             # an older sample's rate says nothing any more
-            rate_body_rad_s=inertial.rate_body_rad_s if imu_age_s <= PREDICTED_S else ZERO3,
+            rate_body_rad_s=inertial.rate_body_rad_s if imu_age_s <= IMU_PREDICTED_S else ZERO3,
             position_ned_m=add(position, place),
             velocity_ned_m_s=add(velocity, speed),
             acceleration_ned_m_s2=inertial.acceleration_ned_m_s2,
@@ -412,7 +413,7 @@ class VehicleEstimator:
 
     def _attitude_near(self, time_s: float) -> Quaternion:
         """Attitude at a time near the newest sample's; further on its rotation is unknown."""
-        return self._inertial.turned(self._inertial.attitude, min(time_s - self.newest_s, PREDICTED_S))
+        return self._inertial.turned(self._inertial.attitude, min(time_s - self.newest_s, IMU_PREDICTED_S))
 
     def _orientation_at(self, time_s: float) -> tuple[Quaternion | None, float, float]:
         """The pre-filter's attitude, and the noise (rad) of its tilt and heading; no attitude out of turn."""

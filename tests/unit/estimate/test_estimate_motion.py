@@ -154,7 +154,7 @@ def test_what_was_measured_with_a_wrong_attitude_is_turned(gap_s: float) -> None
         )
     from_s, newest_s = 201 / 200 + gap_s, wrong.newest_s
     assert newest_s is not None
-    wrong.turn(from_s, turn)
+    wrong.turn(1.0 if gap_s else from_s, from_s, turn)
     assert wrong.turned_since_s == pytest.approx(1.0 if gap_s else from_s)
     for start_s, end_s in (
         (from_s, newest_s),
@@ -182,7 +182,7 @@ def test_what_was_measured_with_a_wrong_attitude_is_turned(gap_s: float) -> None
 def test_one_sample_can_be_turned() -> None:
     history = MotionHistory(5.0)
     history.add(0.0, IDENTITY, (0.0, 0.0, 0.0))
-    history.turn(0.0, quat_from_euler(0.1, 0.0, 0.0))
+    history.turn(0.0, 0.0, quat_from_euler(0.1, 0.0, 0.0))
     assert history.attitude(0.0) == pytest.approx(quat_from_euler(0.1, 0.0, 0.0))
     assert np.isfinite(history.moved(-0.01, 0.01)[0]).all()
 

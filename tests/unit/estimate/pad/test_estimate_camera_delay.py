@@ -19,6 +19,7 @@ from companion.base.geometry import (
     subtract,
 )
 from companion.base.messages import Quantity
+from companion.config.estimate import PadFilterConfig
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_check import LARGEST_DELAY_S, CameraCheck
 from tests.unit.estimate.pad.pad_sway import FRAME_S, Sway, sightings
@@ -27,7 +28,7 @@ from tests.unit.estimate.pad.pad_sway import FRAME_S, Sway, sightings
 def learnt(sway: Sway, duration_s: float = 12.0, frame_s: float = FRAME_S) -> CameraCheck:
     """What is learnt of one flight."""
     motion = MotionHistory(3.0)
-    delay = CameraCheck(motion, 0.03, 0.65)
+    delay = CameraCheck(motion, PadFilterConfig(), 0.65)
     for exposed_s, seen in sightings(sway, motion, duration_s, frame_s):
         delay.take(exposed_s + delay.delay_s, seen, sway.noise_m**2)
     return delay
@@ -91,7 +92,7 @@ def test_a_fix_that_corrects_the_attitude_is_neither_delay_nor_scale(
     late_s: float, error_rad: Vector3
 ) -> None:
     motion, sway = CorrectedMotion(error_rad), Sway(late_s, height_m=5.0)
-    check = CameraCheck(motion, 0.03, 0.65)
+    check = CameraCheck(motion, PadFilterConfig(), 0.65)
     for exposed_s, seen in sightings(sway, motion, 12.0):
         check.take(exposed_s + check.delay_s, seen, sway.noise_m**2)
     assert check.delay_s == pytest.approx(late_s, abs=0.001)
@@ -128,7 +129,7 @@ def test_what_the_link_dates_late_is_dated_anew_as_far_as_its_round_trip_can_exp
     by_link: bool, late_s: float, half_trip_s: float, links_s: float, quantity: Quantity
 ) -> None:
     motion = LateMotion(late_s)
-    check = motion.check = CameraCheck(motion, 0.03, 0.65)
+    check = motion.check = CameraCheck(motion, PadFilterConfig(), 0.65)
     check.imu_by_link, check.half_trip_s = by_link, half_trip_s
     for exposed_s, seen in sightings(Sway(0.0), motion, 16.0):
         check.take(exposed_s + check.frame_delay_s, seen, 0.005**2)

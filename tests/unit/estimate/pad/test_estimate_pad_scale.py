@@ -9,6 +9,7 @@ from companion.base.geometry import Vector3, add, cross, vector3
 from companion.base.geometry import scale as scaled
 from companion.base.messages import Quantity, SourceComparison
 from companion.base.second_sources import TABLE
+from companion.config.estimate import PadFilterConfig
 from companion.estimate.motion import LEVER_STD_M, MotionHistory
 from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.pad_types import HeightMeasurement
@@ -30,6 +31,7 @@ def compared(
     wanders_m: float = 0.0,
     turned_rad: Vector3 = (0.0, 0.0, 0.0),
     deeper: float = 0.0,
+    echo_noise_m: float = 0.03,
     seed: int = 3,
 ) -> SourceComparison:
     """What is found in a flight over a pad that is printed so large, as a share of its file's size.
@@ -41,14 +43,14 @@ def compared(
     motion, rng = MotionHistory(3.0), np.random.default_rng(seed)
     wrong_m = wanders_m * rng.standard_normal(3)
     motion.imu_covariance_m2 = arm_std_m**2 * np.eye(3)
-    check = CameraCheck(motion, 0.03, 0.65)
+    check = CameraCheck(motion, PadFilterConfig(range_noise_m=echo_noise_m), 0.65)
     for k, (exposed_s, (x, y, z)) in enumerate(sightings(sway, motion, duration_s)):
         if echoes and k % 2:
             attitude = sway.attitude(exposed_s)
             away_m = 2.0 * (attitude[1] * y - attitude[2] * x) + z  # down, to the first order
             spike = rng.uniform() if rng.uniform() < spikes else 1.0
             echo_m = spike * away_m + 0.02 * rng.standard_normal()
-            check.take_echo(exposed_s, HeightMeasurement(float(echo_m), (0.0, 0.0, 0.0), 0.03))
+            check.take_echo(exposed_s, HeightMeasurement(float(echo_m), (0.0, 0.0, 0.0), echo_noise_m))
         wrong_m += (wanders_m * math.sqrt(2.0 / 30.0)) * rng.standard_normal(3) - wrong_m / 30.0
         shown = add((x, y, z * (1.0 + deeper)), cross(turned_rad, (x, y, z)))
         seen = scaled(add(shown, vector3(wrong_m.tolist())), 1.0 / printed)
@@ -115,6 +117,12 @@ def test_over_the_board_echoes_tell_a_few_percent(printed: float, refuses: bool)
     assert found.difference == pytest.approx(100.0 * abs(printed - 1.0), abs=0.7)
     assert ROW.announces(found)
     assert ROW.refuses(found) is refuses
+
+
+def test_echoes_of_a_rough_pad_tell_the_scale_too() -> None:
+    found = compared(HOVERS, 0.93, echoes=True, duration_s=20.0, echo_noise_m=0.06)
+    assert found.difference == pytest.approx(7.0, abs=1.0)
+    assert ROW.refuses(found)
 
 
 @pytest.mark.parametrize("spikes", [0.0, 0.3])

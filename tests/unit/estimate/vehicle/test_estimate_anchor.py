@@ -10,6 +10,7 @@ from companion.base.geometry import (
     ZERO3,
     Quaternion,
     Vector3,
+    euler_from_quat,
     norm,
     quat_conjugate,
     quat_from_euler,
@@ -20,7 +21,7 @@ from companion.base.messages import AutopilotAttitude, ImuSample, PadSighting
 from companion.config import EstimateConfig
 from companion.config.estimate import PadFilterConfig
 from companion.estimate.estimator import StateEstimator
-from companion.estimate.motion import MotionHistory
+from companion.estimate.motion import MotionHistory, unseen_turn_rad2
 from companion.estimate.vehicle.autopilot_attitudes import (
     AttitudeReset,
     AutopilotAttitudes,
@@ -58,6 +59,7 @@ FLIGHT = EstimateFlight(
 NORTH_OF_THEIRS = quat_from_euler(0.0, 0.0, 0.4)  # their heading is their own
 AHEAD_RAD = 0.4  # of theirs is our heading, as a rule
 OURS = quat_from_euler(0.0, 0.0, AHEAD_RAD)
+STARTED_S = 0.99  # of the alignment
 SURE, STEADY = 0.5 * DEGREE, 0.0  # our horizon's deviation, and how fast we turn
 
 
@@ -148,27 +150,27 @@ def tilted(roll_deg: float) -> Quaternion:
 
 
 def test_horizons_a_little_apart_are_left_alone() -> None:
-    assert words(AttitudeReset(), tilted(4.0), 10.0) == []
+    assert words(AttitudeReset(MotionHistory(1.0)), tilted(4.0), 10.0) == []
 
 
 def test_horizons_far_apart_are_set_right_once_that_lasts() -> None:
-    [first, *_] = words(AttitudeReset(), tilted(8.0), 1.0)
+    [first, *_] = words(AttitudeReset(MotionHistory(1.0)), tilted(8.0), 1.0)
     assert 0.2 <= first < 0.3
 
 
 def test_a_single_word_that_is_off_changes_nothing() -> None:
-    reset = AttitudeReset()
+    reset = AttitudeReset(MotionHistory(1.0))
     for k in range(60):
         theirs = tilted(30.0) if k % 10 == 0 else tilted(0.0)
         assert reset.compare(AutopilotAttitude(k / 30.0, theirs), ours(), AHEAD_RAD) is None
 
 
 def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() -> None:
-    assert words(AttitudeReset(), tilted(8.0), 2.0, rate=5.0) == []
+    assert words(AttitudeReset(MotionHistory(1.0)), tilted(8.0), 2.0, rate=5.0) == []
 
 
 def test_what_is_set_right_keeps_our_own_heading() -> None:
-    reset = AttitudeReset()
+    reset = AttitudeReset(MotionHistory(1.0))
     assert words(reset, tilted(0.0), 2.0) == []
     found = [
         reset.compare(AutopilotAttitude(3.0 + k / 30.0, tilted(10.0)), ours(), AHEAD_RAD) for k in range(30)
@@ -181,12 +183,12 @@ def test_what_is_set_right_keeps_our_own_heading() -> None:
 
 
 def test_an_attitude_that_is_poorly_known_is_taken_from_the_autopilot_at_once() -> None:
-    assert words(AttitudeReset(), tilted(10.0), 0.1, std_rad=15.0 * DEGREE)[0] == 0.0
+    assert words(AttitudeReset(MotionHistory(1.0)), tilted(10.0), 0.1, std_rad=15.0 * DEGREE)[0] == 0.0
 
 
 def test_words_wait_until_our_own_samples_have_come_as_far() -> None:
     motion = MotionHistory(3.0)
-    attitudes = AutopilotAttitudes(motion)
+    attitudes = AutopilotAttitudes(motion, STARTED_S)
     first, second = AutopilotAttitude(1.0, tilted(0.0)), AutopilotAttitude(1.5, tilted(1.0))
     assert list(attitudes.due(first)) == []
     motion.add(0.99, tilted(0.0), ZERO3)
@@ -197,10 +199,52 @@ def test_words_wait_until_our_own_samples_have_come_as_far() -> None:
     assert own == pytest.approx(tilted(2.0)), "ours at its time"
 
 
+LONG, SHORT = (1.0, 1.35), (1.6, 1.7)  # two gaps, s
+
+
+def known_after(reports: tuple[float, ...], hidden_deg: tuple[float, float]) -> tuple[float, float]:
+    """Our roll (deg) between both gaps and after them, each of which has hidden so much."""
+    motion = MotionHistory(5.0)
+    for k in range(400):
+        if not any(start_s < k / 200 < end_s for start_s, end_s in (LONG, SHORT)):
+            motion.add(k / 200, OURS, ZERO3)
+    attitudes = AutopilotAttitudes(motion, -1.0)
+    for time_s in reports:
+        ends = zip((LONG[1], SHORT[1]), hidden_deg, strict=True)
+        roll_rad = sum(hidden for end_s, hidden in ends if time_s >= end_s) * DEGREE
+        sent = AutopilotAttitude(time_s, quat_from_euler(roll_rad, 0.0, AHEAD_RAD), same_imu=True)
+        for report, attitude in attitudes.due(sent):
+            found = attitudes.shown_by(report, ours()._replace(attitude=attitude))
+            if found is not None:
+                assert isinstance(found.step, AttitudeStep)
+                motion.turn(found.since_s, found.time_s, found.step.turn)
+    between, after = motion.attitude(1.5), motion.attitude(1.9)
+    assert between is not None
+    assert after is not None
+    return euler_from_quat(between)[0] / DEGREE, euler_from_quat(after)[0] / DEGREE
+
+
+def test_of_two_gaps_each_has_hidden_its_own_turn() -> None:
+    """Whatever comes late: a report from between the gaps tells what the first has hidden."""
+    assert known_after((0.99, 1.5, 1.9), (10.0, 0.0)) == pytest.approx((10.0, 10.0))
+    assert known_after((0.99, 1.5, 1.9), (0.0, 10.0)) == pytest.approx((0.0, 10.0))
+
+
+@pytest.mark.parametrize("reports", [(0.99, 1.9), (0.99, 1.2, 1.9)], ids=["none between", "one in a gap"])
+def test_two_gaps_before_one_report_share_the_turn_by_what_each_may_have_hidden(
+    reports: tuple[float, ...],
+) -> None:
+    between, after = known_after(reports, (10.0, 0.0))
+    long, short = (unseen_turn_rad2(end_s - start_s) for start_s, end_s in (LONG, SHORT))
+    assert between == pytest.approx(10.0 * long / (long + short), rel=1e-3)
+    assert between > 9.9
+    assert after == pytest.approx(10.0)
+
+
 def test_a_report_is_not_compared_with_ours_of_another_alignment() -> None:
     motion = MotionHistory(3.0)
     motion.add(0.99, tilted(5.0), ZERO3)
-    attitudes = AutopilotAttitudes(motion)
+    attitudes = AutopilotAttitudes(motion, STARTED_S)
     motion.add(1.0, tilted(0.0), ZERO3)
     assert list(attitudes.due(AutopilotAttitude(0.98, tilted(0.0)))) == []
     assert len(list(attitudes.due(AutopilotAttitude(1.0, tilted(0.0))))) == 1
