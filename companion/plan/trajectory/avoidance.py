@@ -13,6 +13,7 @@ EKF's origin, so that surveyed positions do not move with an estimate. m, s.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, Literal
 
@@ -67,6 +68,19 @@ _WORDS: Final[dict[Situation, str]] = {
     "clear": "clear of the obstacles again",
 }
 
+_Corners = tuple[tuple[float, Vector3], ...]  # of a detour: when they are passed, and where in space
+_Detour = tuple[Course, _Corners]
+
+
+@dataclass(frozen=True, slots=True)
+class _Flown:
+    """What the obstacles make of the path, and the detour that is flown for it."""
+
+    situation: Situation = "clear"
+    detour: Course | None = None
+    corners: _Corners = ()  # of the last detour: the side that was begun is not left for little
+    think_again_s: float = -math.inf  # no sooner than then, unless the detour that is flown fails
+
 
 class Avoidance:
     """The obstacles and the detour that is flown. Without obstacles it changes nothing."""
@@ -79,11 +93,8 @@ class Avoidance:
         self._ceiling_down_m = -config.obstacle_ceiling_m
         self._limits: GuidanceConfig = config.guidance
         self.home_ned_m: Vector3 | None = None  # in the EKF's NED, from where the obstacles count
-        self._detour: Course | None = None
-        self._next_s = -math.inf
         self.frame = STILL  # how the reference's frame moves in the EKF's NED
-        self._corners: list[tuple[float, Vector3]] = []  # of the detour: when they are passed, and where
-        self.situation: Situation = "clear"  # what the obstacles make of the path
+        self._flown = _Flown()
 
     @property
     def needed(self) -> bool:
@@ -97,8 +108,7 @@ class Avoidance:
 
     def forget(self) -> None:
         """Drop the detour: a new reference begins."""
-        self._detour, self._next_s, self._corners = None, -math.inf, []
-        self.situation = "clear"
+        self._flown = _Flown()
 
     def way(
         self,
@@ -119,35 +129,32 @@ class Avoidance:
         """
         if not self.needed:
             return direct
-        start, kept = direct.at(now_s), self._detour
+        start, kept = direct.at(now_s), self._flown.detour
         late = kept is not None and direct.end_s > max(now_s, kept.end_s) + _LATER_S
         if not late and self._clear(direct, now_s):
             self.forget()
             return direct
         if kept is not None and not (_on(kept, start, now_s, level=level) and self._clear(kept, now_s)):
             kept = None
-        if kept is not None and (now_s < self._next_s or _leads_to(kept, target, now_s)):
+        if kept is not None and (now_s < self._flown.think_again_s or _leads_to(kept, target, now_s)):
             return kept
-        waits = self.situation == "waiting_over"
-        if now_s >= self._next_s or not self.blocked:
-            self._next_s = now_s + _THINK_AGAIN_S
+        if not self._still_blocked(now_s):
             found = self._round(start, target, now_s, level)
             waits = found is None and may_wait
             if waits:
                 found = self._over(start, target, now_s)
-            kept = found or (kept if kept is not None and now_s < kept.end_s else None)
-            if kept is not None:  # what takes long is planned less often
-                self._next_s = now_s + max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (kept.end_s - now_s))
-        self._detour = kept
-        if kept is None:
-            self.situation = "blocked"
-            return self._stop(start, now_s)
-        self.situation = "waiting_over" if waits else "detour"
-        return kept
+            if found is None and kept is not None and now_s < kept.end_s:
+                found = kept, self._flown.corners
+            if found is None:
+                self._block(now_s)
+            else:  # what takes long is planned less often
+                pause_s = max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (found[0].end_s - now_s))
+                self._flown = _Flown("waiting_over" if waits else "detour", *found, now_s + pause_s)
+        return self._flown.detour or self._stop(start, now_s)
 
     def along(self, start: Motion, points: Sequence[Vector3], now_s: float) -> Course | None:
         """Through points in space, round what is between them; None when there is no way that keeps clear."""
-        if self.blocked and now_s < self._next_s:
+        if self._still_blocked(now_s):
             return None
         places = [start.position_m, *points]
         for via in self._roomy(places):
@@ -155,7 +162,7 @@ class Avoidance:
                 course = pace(start, via, Motion(points[-1]), now_s, self._limits)
                 if not self.needed or self._keeps_clear(course, now_s):
                     return course
-        self.situation, self._next_s = "blocked", now_s + _THINK_AGAIN_S
+        self._block(now_s)
         return None
 
     def brake(self, start: Motion, now_s: float) -> Trajectory:
@@ -182,9 +189,20 @@ class Avoidance:
         return not self.needed or self._clear(way, now_s)
 
     @property
+    def situation(self) -> Situation:
+        """What the obstacles make of the path."""
+        return self._flown.situation
+
+    @property
     def blocked(self) -> bool:
         """Whether there is no way that keeps clear: it brakes and holds."""
         return self.situation == "blocked"
+
+    def _still_blocked(self, now_s: float) -> bool:
+        return self.blocked and now_s < self._flown.think_again_s
+
+    def _block(self, now_s: float) -> None:
+        self._flown = _Flown("blocked", None, self._flown.corners, now_s + _THINK_AGAIN_S)
 
     def tell(self, say: Announcements, now_s: float) -> None:
         """Announce a detour, that there is none, and when the path is straight again; call it every cycle."""
@@ -216,7 +234,7 @@ class Avoidance:
 
     # ------------------------------------------------------------ finding a way
 
-    def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> Course | None:
+    def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> _Detour | None:
         """A way round or over, in the reference's frame."""
         start, target = in_space(start, self.frame), in_space(target, self.frame)
         met = target.position_m
@@ -234,8 +252,8 @@ class Avoidance:
             for pace in (paced, halting):
                 found = pace(start, via, target, now_s, self._limits)
                 if self._keeps_clear(found, now_s):
-                    self._corners = [(leg.end_s, c) for leg, c in zip(found.legs, via, strict=False)]
-                    return found.carried(space_seen_from(self.frame), now_s)
+                    corners = tuple((leg.end_s, c) for leg, c in zip(found.legs, via, strict=False))
+                    return found.carried(space_seen_from(self.frame), now_s), corners
         return None
 
     def _ways(self, here: Vector3, there: Vector3, now_s: float, level: bool) -> list[list[Vector3]]:
@@ -245,7 +263,7 @@ class Avoidance:
             return []
         shortest = min(way_cost((here, *via, there)) for via in ways)
         ahead = next(
-            (c for when_s, c in self._corners if when_s > now_s and math.dist(c, here) > _NEAR_M), None
+            (c for when_s, c in self._flown.corners if when_s > now_s and math.dist(c, here) > _NEAR_M), None
         )
         begun = None if ahead is None else self._via((here, ahead, there), _SPARES_M[-1], level=level)
         if begun is not None and way_cost((here, *begun, there)) <= _WORTH_TURNING * shortest + _WORTH_M:
@@ -260,7 +278,7 @@ class Avoidance:
         most = _WORTH_ROOM * min(costs, default=0.0) + _WORTH_M
         return [via for via, cost in zip(ways, costs, strict=True) if cost <= most]
 
-    def _over(self, start: Motion, target: Motion, now_s: float) -> Course | None:
+    def _over(self, start: Motion, target: Motion, now_s: float) -> _Detour | None:
         """To over the target: no lower than now, or higher up, or else as near as it may."""
         assert self.home_ned_m is not None
         here, home_down = start.position_m[2] + self.frame.position_m[2], self.home_ned_m[2]
@@ -274,7 +292,7 @@ class Avoidance:
                 return found
         return self._beside(start, target, now_s)
 
-    def _beside(self, start: Motion, target: Motion, now_s: float) -> Course | None:
+    def _beside(self, start: Motion, target: Motion, now_s: float) -> _Detour | None:
         """To the place nearest to over the target that is clear, at the present height: it stays in view."""
         assert self.home_ned_m is not None
         target = in_space(target, self.frame)
