@@ -131,10 +131,10 @@ class Avoidance:
             return direct
         start, kept = direct.at(now_s), self._flown.detour
         late = kept is not None and direct.end_s > max(now_s, kept.end_s) + _LATER_S
-        if not late and self._clear(direct, now_s):
+        if not late and self.clear(direct, now_s):
             self.forget()
             return direct
-        if kept is not None and not (_on(kept, start, now_s, level=level) and self._clear(kept, now_s)):
+        if kept is not None and not (_on(kept, start, now_s, level=level) and self.clear(kept, now_s)):
             kept = None
         if kept is not None and (now_s < self._flown.think_again_s or _leads_to(kept, target, now_s)):
             return kept
@@ -160,7 +160,7 @@ class Avoidance:
         for via in self._roomy(places):
             for pace in (paced, halting):
                 course = pace(start, via, Motion(points[-1]), now_s, self._limits)
-                if not self.needed or self._keeps_clear(course, now_s):
+                if self._keeps_clear(course, now_s, STILL):
                     return course
         self._block(now_s)
         return None
@@ -184,9 +184,9 @@ class Avoidance:
         points = np.array(place) + predicted_places(self.frame, times_s)
         return bool(np.min(self._clearance_m(points)) >= self._margin_m)
 
-    def still_clear(self, way: PlannedPath, now_s: float) -> bool:
-        """Whether what is left of a way keeps the margin."""
-        return not self.needed or self._clear(way, now_s)
+    def clear(self, way: PlannedPath, now_s: float) -> bool:
+        """Whether what is left of a way in the reference's frame keeps the margin."""
+        return self._keeps_clear(way, now_s, self.frame)
 
     @property
     def situation(self) -> Situation:
@@ -212,11 +212,10 @@ class Avoidance:
 
     # ------------------------------------------------------------ judging
 
-    def _clear(self, way: PlannedPath, now_s: float) -> bool:
-        return self._keeps_clear(way, now_s, self.frame)
-
-    def _keeps_clear(self, way: PlannedPath, now_s: float, frame: Motion = STILL) -> bool:
+    def _keeps_clear(self, way: PlannedPath, now_s: float, frame: Motion) -> bool:
         """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
+        if not self.needed:
+            return True
         last = in_space(way.at(way.end_s), frame)
         after_s = _EXTRA_S + 1.5 * norm(last.velocity_m_s) / self._limits.horizontal_acceleration_m_s2
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
@@ -251,7 +250,7 @@ class Avoidance:
         for via in self._ways(start.position_m, met, now_s, level):
             for pace in (paced, halting):
                 found = pace(start, via, target, now_s, self._limits)
-                if self._keeps_clear(found, now_s):
+                if self._keeps_clear(found, now_s, STILL):
                     corners = tuple((leg.end_s, c) for leg, c in zip(found.legs, via, strict=False))
                     return found.carried(space_seen_from(self.frame), now_s), corners
         return None
@@ -333,7 +332,7 @@ class Avoidance:
         """Come to rest in a frame; harder where the gentle stop comes too near."""
         stop = brake(start, now_s, self._limits.horizontal_acceleration_m_s2)
         for deceleration in (HARD_STOP_M_S2, 1.5 * HARD_STOP_M_S2):  # the last is taken anyway
-            if not self.needed or self._keeps_clear(stop, now_s, frame):
+            if self._keeps_clear(stop, now_s, frame):
                 break
             stop = brake(start, now_s, deceleration)
         return stop

@@ -166,7 +166,7 @@ class ReferenceGenerator:
         flown = self._trajectory
         if isinstance(flown, Course):
             same = math.dist(flown.at(flown.end_s).position_m, points[-1]) <= SAME_POINT_M
-            if same and self.avoidance.still_clear(flown, now_s):
+            if same and self.avoidance.clear(flown, now_s):
                 self.time_to_go_s = max(0.0, flown.end_s - now_s)
                 return
         course = self.avoidance.along(self.at(now_s), points, now_s)
