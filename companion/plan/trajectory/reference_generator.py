@@ -19,6 +19,7 @@ from companion.base.geometry import Vector3, add, dot, norm, scale, subtract, wr
 from companion.base.messages import DescentCone, LevelOff, Reference
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
+from companion.plan.debounce import StepClock
 from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.coordinate_frames import STILL
 from companion.plan.trajectory.course import Course, PlannedPath
@@ -70,7 +71,7 @@ class ReferenceGenerator:
         self._level: Trajectory | None = None
         self._rise: Trajectory | None = None
         self.heading_rad = 0.0
-        self._turned_s: float | None = None
+        self._turning = StepClock()
         self.speed_m_s = 0.0
         self.time_to_go_s = 0.0
 
@@ -294,12 +295,11 @@ class ReferenceGenerator:
 
     def turn(self, heading_rad: float | None, now_s: float, pad_rate_rad_s: float = 0.0) -> None:
         """Slew the heading towards one, or keep it; a turning pad is caught up with at the rate allowed."""
-        if heading_rad is not None and self._turned_s is not None:
-            rate_rad_s = math.radians(self.limits.heading_rate_deg_s) + abs(pad_rate_rad_s)
-            most = rate_rad_s * max(0.0, now_s - self._turned_s)
+        elapsed_s = self._turning.step_s(now_s)
+        if heading_rad is not None:
+            most = (math.radians(self.limits.heading_rate_deg_s) + abs(pad_rate_rad_s)) * elapsed_s
             error = wrap_angle(heading_rad - self.heading_rad)
             self.heading_rad = wrap_angle(self.heading_rad + max(-most, min(most, error)))
-        self._turned_s = now_s
 
     def reference(
         self,
