@@ -34,7 +34,7 @@ from companion.plan.obstacles.obstacles import (
 )
 from companion.plan.trajectory.coordinate_frames import STILL, in_space, predicted_places, space_seen_from
 from companion.plan.trajectory.course import Course, PlannedPath, halting, paced
-from companion.plan.trajectory.min_jerk import HARD_STOP_M_S2, Trajectory, brake, carried
+from companion.plan.trajectory.min_jerk import HARD_STOP_M_S2, Trajectory, brake, carried, stop_s
 
 # Corners are first passed with this much spare room, so that a smooth curve fits.
 _SPARES_M: Final = (0.5, 0.25, 0.05)
@@ -54,9 +54,7 @@ _CHECK_STEP_S: Final = 0.1
 _MOST_CHECKS: Final = 300
 # A detour is kept while its end is this near to where the target will be.
 _SAME_END: Final = 0.3  # m, and m/s
-_SAME_PLACE_M: Final = 1e-3
-_SLACK_M: Final = 0.01
-_EXTRA_S: Final = 0.5
+_SLACK: Final = 0.01  # m, and m/s
 # Waiting over a pad, so much higher than the margin asks for.
 _ABOVE_M: Final = 0.1
 _TELL_AGAIN_S: Final = 2.0
@@ -217,14 +215,14 @@ class Avoidance:
         if not self.needed:
             return True
         last = in_space(way.at(way.end_s), frame)
-        after_s = _EXTRA_S + 1.5 * norm(last.velocity_m_s) / self._limits.horizontal_acceleration_m_s2
+        after_s = stop_s(norm(last.velocity_m_s), self._limits.horizontal_acceleration_m_s2)
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
         close_s = min(whole_s, _MOST_CHECKS * _CHECK_STEP_S)
         points = [_places(way, frame, now_s, 0.0, close_s)]
         if whole_s > close_s:
             points.append(_places(way, frame, now_s, close_s, whole_s))
         clearance = self._clearance_m(np.concatenate(points))
-        least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK_M
+        least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK
         return bool(np.all(clearance >= least_m))
 
     def _clearance_m(self, points: FloatArray) -> FloatArray:
@@ -351,8 +349,8 @@ def _places(way: PlannedPath, frame: Motion, now_s: float, from_s: float, to_s: 
 def _on(course: Course, start: Motion, now_s: float, *, level: bool) -> bool:
     """Whether the reference is on a course still: levelling off takes its height elsewhere, and may."""
     there, axes = course.at(now_s), 2 if level else 3
-    near = math.dist(there.position_m[:axes], start.position_m[:axes]) <= _SAME_PLACE_M
-    return near and math.dist(there.velocity_m_s[:axes], start.velocity_m_s[:axes]) <= _SAME_PLACE_M
+    near = math.dist(there.position_m[:axes], start.position_m[:axes]) <= _SLACK
+    return near and math.dist(there.velocity_m_s[:axes], start.velocity_m_s[:axes]) <= _SLACK
 
 
 def _leads_to(course: Course, target: Motion, now_s: float) -> bool:

@@ -144,13 +144,16 @@ def plan(start: Motion, final: Motion, start_s: float, duration_s: float) -> Tra
 def brake(start: Motion, start_s: float, deceleration_m_s2: float) -> Trajectory:
     """Come to rest along the present velocity, about as gently as the given deceleration (m/s²)."""
     v = start.velocity_m_s
-    speed = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) ** 0.5
-    # a quintic from speed v to rest over v T / 2 peaks at 1.5 v / T
-    duration_s = max(SHORTEST_STOP_S, 1.5 * speed / deceleration_m_s2)
+    duration_s = stop_s((v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) ** 0.5, deceleration_m_s2)
     p = start.position_m
     half = 0.5 * duration_s
     final = Motion((p[0] + half * v[0], p[1] + half * v[1], p[2] + half * v[2]))
     return plan(start, final, start_s, duration_s)
+
+
+def stop_s(speed_m_s: float, deceleration_m_s2: float) -> float:
+    """How long `brake` takes: a quintic from speed v to rest over v T / 2 peaks at 1.5 v / T."""
+    return max(SHORTEST_STOP_S, 1.5 * speed_m_s / deceleration_m_s2)
 
 
 def carried(trajectory: Trajectory, by: Motion, at_s: float) -> Trajectory:
