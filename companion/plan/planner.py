@@ -222,9 +222,8 @@ class Planner:
         generator = self._generator
         over_pad = generator.active and generator.origin == "pad"
         planned_m_s = generator.at(now_s).velocity_m_s if over_pad else None
-        self._monitored.update(self._pad.sight, inputs.vehicle, planned_m_s, now_s)
+        found = self._monitored.update(self._pad.sight, inputs.vehicle, planned_m_s, now_s)
         generator.pace = 1.0
-        found = self._monitored.now
         if found is None or self.phase not in PACED:
             return None
         generator.pace = self._pace(found)

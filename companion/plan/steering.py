@@ -11,7 +11,6 @@ from functools import partial
 from typing import Final
 
 from companion.base.autopilots import PROFILES
-from companion.base.geometry import yaw_from_quat
 from companion.base.messages import (
     Action,
     ActionKind,
@@ -239,7 +238,6 @@ class PhaseSteering:
     def _enter_route(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
         if inputs.vehicle is None:
             return  # ESTIMATE_LOST ends this in the next cycle
-        self._generator.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
         self._held.end("streams")
         self._hold.stand_still(inputs.vehicle, now_s)
         self._waypoints.begin(with_first=previous is State.TAKE_OFF)
@@ -247,8 +245,6 @@ class PhaseSteering:
     def _enter_search(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
         if inputs.vehicle is None:
             return  # ESTIMATE_LOST ends this in the next cycle
-        if not self._generator.active:
-            self._generator.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
         self._hold.stand_still(inputs.vehicle, now_s)
         missing_m = 0.0 if previous in {State.WAYPOINT, State.ROUTE} else self._missing_m()
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)

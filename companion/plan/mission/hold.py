@@ -8,7 +8,7 @@ vehicle stays where it is. EKF's NED; m, s.
 import math
 from typing import Final
 
-from companion.base.geometry import Vector3, norm, subtract
+from companion.base.geometry import Vector3, norm, subtract, yaw_from_quat
 from companion.base.messages import VehicleState
 from companion.base.motion import Motion
 from companion.config import PlanConfig
@@ -42,6 +42,7 @@ class Hold:
     def stand_still(self, vehicle: VehicleState, now_s: float) -> None:
         """Come to rest, from the reference's own motion when there is one."""
         if not self._generator.active:
+            self._generator.heading_rad = yaw_from_quat(vehicle.attitude)
             self._generator.start("local", vehicle_motion(vehicle), now_s)
             return
         if self._pad.motion is not None:

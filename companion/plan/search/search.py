@@ -66,7 +66,7 @@ class Search:
         self.locator = PadLocator(config)
         self._place_m, self._most_up_m = ZERO3, 0.0  # where it holds, and at what height it searches
         self._corner = 0
-        self._next_request_s = self._turned_s = -math.inf
+        self._next_request_s = -math.inf
         self._held = Debounce()
 
     def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
@@ -91,7 +91,7 @@ class Search:
         self._place_m = (*self._generator.resting_place_m()[:2], down_m)
         self._most_up_m = down_m - self._config.climb_m
         self._corner = 0
-        self._held.end("arrived", "in view", "searches")
+        self._held.end("arrived", "sought", "in view", "searches")
         self._held.held_s("searches", True, now_s)
         return here[2] - down_m
 
@@ -178,7 +178,7 @@ class Search:
         reference = self._generator.at(now_s).position_m
         place = self._corner_of(centre)
         # a corner that obstacles block counts as visited once a detour to it was tried
-        sought = now_s - self._turned_s >= _SOUGHT_S
+        sought = self._held.held_s("sought", True, now_s) >= _SOUGHT_S
         if math.dist(reference[:2], place) < _CORNER_M or (sought and self._generator.avoidance.blocked):
             self._at_corner(now_s)
             place = self._corner_of(centre)
@@ -194,8 +194,7 @@ class Search:
         reach_m = self.locator.reach_m(now_s) + 0.5 * self._config.spacing_m
         farthest_m = min(self._config.radius_m, max(reach_m, math.sqrt(2.0) * self._config.spacing_m))
         self._corner = 0 if math.hypot(north, east) > farthest_m else self._corner + 1
-        self._turned_s = now_s
-        self._held.end("arrived")
+        self._held.end("arrived", "sought")
 
     def _corner_of(self, centre: Motion) -> tuple[float, float]:
         north, east = square_spiral(self._corner, self._config.spacing_m)

@@ -27,44 +27,37 @@ def constant_pace(_conditions: Conditions) -> float:
 
 
 class ConditionMonitor:
-    """Takes a cycle's estimates in; `now` once a pad has been seen."""
+    """Takes each cycle's estimates in."""
 
     def __init__(self) -> None:
         # complex: north + i east
         self._force_m_s2, self._gust_squared = 0j, 0.0
-        self._relative_m_s, self._sight_rad = 0.0, math.inf
+        self._relative_m_s = 0.0
         self._clock = StepClock()
 
     def update(
         self, sight: PadState | None, vehicle: VehicleState | None, planned_m_s: Vector3 | None, now_s: float
-    ) -> None:
-        """Note the pad and the vehicle, and the velocity over the pad that is planned, if one is."""
+    ) -> Conditions | None:
+        """The conditions, None without a pad; `planned_m_s` is the velocity planned over it, if one is."""
         elapsed_s = self._clock.step_s(now_s)
         if math.isfinite(elapsed_s):
             elapsed_s = min(LONGEST_CYCLE_S, elapsed_s)
         if vehicle is not None:
             self._feel(complex(*vehicle.side_force_ned_m_s2[:2]), _share(elapsed_s, GUST_OVER_S))
         if sight is None:
-            return
-        distance_m = math.hypot(*sight.relative_position_ned_m)
-        self._sight_rad = math.atan2(sight.position_std_m, distance_m)
+            return None
         if planned_m_s is not None:
             vx, vy, _ = sight.relative_velocity_ned_m_s
             off_m_s = math.hypot(vx + planned_m_s[0], vy + planned_m_s[1])
             self._relative_m_s += _share(elapsed_s, RELATIVE_SPEED_OVER_S) * (off_m_s - self._relative_m_s)
+        sight_rad = math.atan2(sight.position_std_m, math.hypot(*sight.relative_position_ned_m))
+        return Conditions(sight_rad, self._relative_m_s, math.sqrt(self._gust_squared))
 
     def _feel(self, force_m_s2: complex, share: float) -> None:
         """Mean and variance with exponentially falling weights."""
         off = force_m_s2 - self._force_m_s2
         self._force_m_s2 += share * off
         self._gust_squared = (1.0 - share) * (self._gust_squared + share * abs(off) ** 2)
-
-    @property
-    def now(self) -> Conditions | None:
-        """The conditions; None before a pad has been seen."""
-        if math.isinf(self._sight_rad):
-            return None
-        return Conditions(self._sight_rad, self._relative_m_s, math.sqrt(self._gust_squared))
 
 
 def _share(elapsed_s: float, over_s: float) -> float:

@@ -13,6 +13,7 @@ EKF's origin, so that surveyed positions do not move with an estimate. m, s.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, Literal
 
@@ -33,7 +34,7 @@ from companion.plan.obstacles.obstacles import (
 )
 from companion.plan.trajectory.coordinate_frames import STILL, in_space, predicted_places, space_seen_from
 from companion.plan.trajectory.course import Course, PlannedPath, halting, paced
-from companion.plan.trajectory.min_jerk import HARD_STOP_M_S2, Trajectory, brake, carried
+from companion.plan.trajectory.min_jerk import HARD_STOP_M_S2, Trajectory, brake, carried, stop_s
 
 # Corners are first passed with this much spare room, so that a smooth curve fits.
 _SPARES_M: Final = (0.5, 0.25, 0.05)
@@ -53,9 +54,7 @@ _CHECK_STEP_S: Final = 0.1
 _MOST_CHECKS: Final = 300
 # A detour is kept while its end is this near to where the target will be.
 _SAME_END: Final = 0.3  # m, and m/s
-_SAME_PLACE_M: Final = 1e-3
-_SLACK_M: Final = 0.01
-_EXTRA_S: Final = 0.5
+_SLACK: Final = 0.01  # m, and m/s
 # Waiting over a pad, so much higher than the margin asks for.
 _ABOVE_M: Final = 0.1
 _TELL_AGAIN_S: Final = 2.0
@@ -66,6 +65,19 @@ _WORDS: Final[dict[Situation, str]] = {
     "detour": "obstacle ahead: flying round it",
     "clear": "clear of the obstacles again",
 }
+
+_Corners = tuple[tuple[float, Vector3], ...]  # of a detour: when they are passed, and where in space
+_Detour = tuple[Course, _Corners]
+
+
+@dataclass(frozen=True, slots=True)
+class _Flown:
+    """What the obstacles make of the path, and the detour that is flown for it."""
+
+    situation: Situation = "clear"
+    detour: Course | None = None
+    corners: _Corners = ()  # of the last detour: the side that was begun is not left for little
+    think_again_s: float = -math.inf  # no sooner than then, unless the detour that is flown fails
 
 
 class Avoidance:
@@ -79,11 +91,8 @@ class Avoidance:
         self._ceiling_down_m = -config.obstacle_ceiling_m
         self._limits: GuidanceConfig = config.guidance
         self.home_ned_m: Vector3 | None = None  # in the EKF's NED, from where the obstacles count
-        self._detour: Course | None = None
-        self._next_s = -math.inf
         self.frame = STILL  # how the reference's frame moves in the EKF's NED
-        self._corners: list[tuple[float, Vector3]] = []  # of the detour: when they are passed, and where
-        self.situation: Situation = "clear"  # what the obstacles make of the path
+        self._flown = _Flown()
 
     @property
     def needed(self) -> bool:
@@ -97,8 +106,7 @@ class Avoidance:
 
     def forget(self) -> None:
         """Drop the detour: a new reference begins."""
-        self._detour, self._next_s, self._corners = None, -math.inf, []
-        self.situation = "clear"
+        self._flown = _Flown()
 
     def way(
         self,
@@ -119,43 +127,40 @@ class Avoidance:
         """
         if not self.needed:
             return direct
-        start, kept = direct.at(now_s), self._detour
+        start, kept = direct.at(now_s), self._flown.detour
         late = kept is not None and direct.end_s > max(now_s, kept.end_s) + _LATER_S
-        if not late and self._clear(direct, now_s):
+        if not late and self.clear(direct, now_s):
             self.forget()
             return direct
-        if kept is not None and not (_on(kept, start, now_s, level=level) and self._clear(kept, now_s)):
+        if kept is not None and not (_on(kept, start, now_s, level=level) and self.clear(kept, now_s)):
             kept = None
-        if kept is not None and (now_s < self._next_s or _leads_to(kept, target, now_s)):
+        if kept is not None and (now_s < self._flown.think_again_s or _leads_to(kept, target, now_s)):
             return kept
-        waits = self.situation == "waiting_over"
-        if now_s >= self._next_s or not self.blocked:
-            self._next_s = now_s + _THINK_AGAIN_S
+        if not self._still_blocked(now_s):
             found = self._round(start, target, now_s, level)
             waits = found is None and may_wait
             if waits:
                 found = self._over(start, target, now_s)
-            kept = found or (kept if kept is not None and now_s < kept.end_s else None)
-            if kept is not None:  # what takes long is planned less often
-                self._next_s = now_s + max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (kept.end_s - now_s))
-        self._detour = kept
-        if kept is None:
-            self.situation = "blocked"
-            return self._stop(start, now_s)
-        self.situation = "waiting_over" if waits else "detour"
-        return kept
+            if found is None and kept is not None and now_s < kept.end_s:
+                found = kept, self._flown.corners
+            if found is None:
+                self._block(now_s)
+            else:  # what takes long is planned less often
+                pause_s = max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (found[0].end_s - now_s))
+                self._flown = _Flown("waiting_over" if waits else "detour", *found, now_s + pause_s)
+        return self._flown.detour or self._stop(start, now_s)
 
     def along(self, start: Motion, points: Sequence[Vector3], now_s: float) -> Course | None:
         """Through points in space, round what is between them; None when there is no way that keeps clear."""
-        if self.blocked and now_s < self._next_s:
+        if self._still_blocked(now_s):
             return None
         places = [start.position_m, *points]
         for via in self._roomy(places):
             for pace in (paced, halting):
                 course = pace(start, via, Motion(points[-1]), now_s, self._limits)
-                if not self.needed or self._keeps_clear(course, now_s):
+                if self._keeps_clear(course, now_s, STILL):
                     return course
-        self.situation, self._next_s = "blocked", now_s + _THINK_AGAIN_S
+        self._block(now_s)
         return None
 
     def brake(self, start: Motion, now_s: float) -> Trajectory:
@@ -177,14 +182,25 @@ class Avoidance:
         points = np.array(place) + predicted_places(self.frame, times_s)
         return bool(np.min(self._clearance_m(points)) >= self._margin_m)
 
-    def still_clear(self, way: PlannedPath, now_s: float) -> bool:
-        """Whether what is left of a way keeps the margin."""
-        return not self.needed or self._clear(way, now_s)
+    def clear(self, way: PlannedPath, now_s: float) -> bool:
+        """Whether what is left of a way in the reference's frame keeps the margin."""
+        return self._keeps_clear(way, now_s, self.frame)
+
+    @property
+    def situation(self) -> Situation:
+        """What the obstacles make of the path."""
+        return self._flown.situation
 
     @property
     def blocked(self) -> bool:
         """Whether there is no way that keeps clear: it brakes and holds."""
         return self.situation == "blocked"
+
+    def _still_blocked(self, now_s: float) -> bool:
+        return self.blocked and now_s < self._flown.think_again_s
+
+    def _block(self, now_s: float) -> None:
+        self._flown = _Flown("blocked", None, self._flown.corners, now_s + _THINK_AGAIN_S)
 
     def tell(self, say: Announcements, now_s: float) -> None:
         """Announce a detour, that there is none, and when the path is straight again; call it every cycle."""
@@ -194,20 +210,19 @@ class Avoidance:
 
     # ------------------------------------------------------------ judging
 
-    def _clear(self, way: PlannedPath, now_s: float) -> bool:
-        return self._keeps_clear(way, now_s, self.frame)
-
-    def _keeps_clear(self, way: PlannedPath, now_s: float, frame: Motion = STILL) -> bool:
+    def _keeps_clear(self, way: PlannedPath, now_s: float, frame: Motion) -> bool:
         """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
+        if not self.needed:
+            return True
         last = in_space(way.at(way.end_s), frame)
-        after_s = _EXTRA_S + 1.5 * norm(last.velocity_m_s) / self._limits.horizontal_acceleration_m_s2
+        after_s = stop_s(norm(last.velocity_m_s), self._limits.horizontal_acceleration_m_s2)
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
         close_s = min(whole_s, _MOST_CHECKS * _CHECK_STEP_S)
         points = [_places(way, frame, now_s, 0.0, close_s)]
         if whole_s > close_s:
             points.append(_places(way, frame, now_s, close_s, whole_s))
         clearance = self._clearance_m(np.concatenate(points))
-        least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK_M
+        least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK
         return bool(np.all(clearance >= least_m))
 
     def _clearance_m(self, points: FloatArray) -> FloatArray:
@@ -216,7 +231,7 @@ class Avoidance:
 
     # ------------------------------------------------------------ finding a way
 
-    def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> Course | None:
+    def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> _Detour | None:
         """A way round or over, in the reference's frame."""
         start, target = in_space(start, self.frame), in_space(target, self.frame)
         met = target.position_m
@@ -233,9 +248,9 @@ class Avoidance:
         for via in self._ways(start.position_m, met, now_s, level):
             for pace in (paced, halting):
                 found = pace(start, via, target, now_s, self._limits)
-                if self._keeps_clear(found, now_s):
-                    self._corners = [(leg.end_s, c) for leg, c in zip(found.legs, via, strict=False)]
-                    return found.carried(space_seen_from(self.frame), now_s)
+                if self._keeps_clear(found, now_s, STILL):
+                    corners = tuple((leg.end_s, c) for leg, c in zip(found.legs, via, strict=False))
+                    return found.carried(space_seen_from(self.frame), now_s), corners
         return None
 
     def _ways(self, here: Vector3, there: Vector3, now_s: float, level: bool) -> list[list[Vector3]]:
@@ -245,7 +260,7 @@ class Avoidance:
             return []
         shortest = min(way_cost((here, *via, there)) for via in ways)
         ahead = next(
-            (c for when_s, c in self._corners if when_s > now_s and math.dist(c, here) > _NEAR_M), None
+            (c for when_s, c in self._flown.corners if when_s > now_s and math.dist(c, here) > _NEAR_M), None
         )
         begun = None if ahead is None else self._via((here, ahead, there), _SPARES_M[-1], level=level)
         if begun is not None and way_cost((here, *begun, there)) <= _WORTH_TURNING * shortest + _WORTH_M:
@@ -260,7 +275,7 @@ class Avoidance:
         most = _WORTH_ROOM * min(costs, default=0.0) + _WORTH_M
         return [via for via, cost in zip(ways, costs, strict=True) if cost <= most]
 
-    def _over(self, start: Motion, target: Motion, now_s: float) -> Course | None:
+    def _over(self, start: Motion, target: Motion, now_s: float) -> _Detour | None:
         """To over the target: no lower than now, or higher up, or else as near as it may."""
         assert self.home_ned_m is not None
         here, home_down = start.position_m[2] + self.frame.position_m[2], self.home_ned_m[2]
@@ -274,7 +289,7 @@ class Avoidance:
                 return found
         return self._beside(start, target, now_s)
 
-    def _beside(self, start: Motion, target: Motion, now_s: float) -> Course | None:
+    def _beside(self, start: Motion, target: Motion, now_s: float) -> _Detour | None:
         """To the place nearest to over the target that is clear, at the present height: it stays in view."""
         assert self.home_ned_m is not None
         target = in_space(target, self.frame)
@@ -315,7 +330,7 @@ class Avoidance:
         """Come to rest in a frame; harder where the gentle stop comes too near."""
         stop = brake(start, now_s, self._limits.horizontal_acceleration_m_s2)
         for deceleration in (HARD_STOP_M_S2, 1.5 * HARD_STOP_M_S2):  # the last is taken anyway
-            if not self.needed or self._keeps_clear(stop, now_s, frame):
+            if self._keeps_clear(stop, now_s, frame):
                 break
             stop = brake(start, now_s, deceleration)
         return stop
@@ -334,8 +349,8 @@ def _places(way: PlannedPath, frame: Motion, now_s: float, from_s: float, to_s: 
 def _on(course: Course, start: Motion, now_s: float, *, level: bool) -> bool:
     """Whether the reference is on a course still: levelling off takes its height elsewhere, and may."""
     there, axes = course.at(now_s), 2 if level else 3
-    near = math.dist(there.position_m[:axes], start.position_m[:axes]) <= _SAME_PLACE_M
-    return near and math.dist(there.velocity_m_s[:axes], start.velocity_m_s[:axes]) <= _SAME_PLACE_M
+    near = math.dist(there.position_m[:axes], start.position_m[:axes]) <= _SLACK
+    return near and math.dist(there.velocity_m_s[:axes], start.velocity_m_s[:axes]) <= _SLACK
 
 
 def _leads_to(course: Course, target: Motion, now_s: float) -> bool:

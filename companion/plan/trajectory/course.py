@@ -26,12 +26,18 @@ import numpy as np
 from companion.base.geometry import FloatArray, Vector3, add, norm, scale
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig
-from companion.plan.trajectory.min_jerk import REST_PEAK, Trajectory, carried, plan
+from companion.plan.trajectory.min_jerk import (
+    MOST_STRETCHES,
+    REST_PEAK,
+    Trajectory,
+    carried,
+    greatest_speeds,
+    plan,
+    stretched,
+)
 
-_MOST_STRETCHES: Final = 8
 # So near to the limits is near enough: behind a target that runs, the last few per cent take for ever.
 _NEAR_ENOUGH: Final = 1.05
-_CHECKED_PER_LEG: Final = 8
 _REST_PUSH: Final = 5.7735  # from rest to rest the greatest acceleration so many times distance / time²
 _MEAN_SHARE: Final = 0.8  # of the greatest speed, as the mean of a leg that is passed through
 _SHORTEST_S: Final = 0.3
@@ -144,30 +150,24 @@ def paced(
     Each leg gets the time that its length takes at most of the speed allowed, the first and the last half of
     T_min more; then all times grow together until no limit is broken (but by what the start already has).
     """
-    durations = _first_guess(start, via, target, limits)
-    course = through(start, via, _met(target, sum(durations)), start_s, durations)
-    stretch = _stretch(course, start, target, limits)
-    for _ in range(_MOST_STRETCHES):
-        if stretch <= _NEAR_ENOUGH:
-            break
-        durations = [min(stretch, 1.5) * d for d in durations]
-        longer = through(start, via, _met(target, sum(durations)), start_s, durations)
-        before, stretch = stretch, _stretch(longer, start, target, limits)
-        if stretch >= before:
-            break  # an acceleration at the start lasts longer too, and leads to more speed
-        course = longer
-    return course
+    first_s = _first_guess(start, via, target, limits)
+
+    def lasting(times: float) -> Course:
+        durations_s = [times * duration_s for duration_s in first_s]
+        return through(start, via, _met(target, sum(durations_s)), start_s, durations_s)
+
+    return stretched(lasting, limits, target.velocity_m_s, len(first_s), _NEAR_ENOUGH)
 
 
 def _first_guess(
     start: Motion, via: Sequence[Vector3], target: Motion, limits: GuidanceConfig
 ) -> list[float]:
     durations = [limits.minimum_time_s]
-    for _ in range(_MOST_STRETCHES):  # the target moves on meanwhile
+    for _ in range(MOST_STRETCHES):  # the target moves on meanwhile
         before_s = sum(durations)
         places = [start.position_m, *via, _met(target, before_s).position_m]
         durations = [
-            max(_SHORTEST_S, _crossing_s(p, q, *_speeds(target, limits)) / _MEAN_SHARE)
+            max(_SHORTEST_S, _crossing_s(p, q, *greatest_speeds(target.velocity_m_s, limits)) / _MEAN_SHARE)
             for p, q in pairwise(places)
         ]
         durations[0] += 0.5 * limits.minimum_time_s
@@ -210,12 +210,6 @@ def _crossing_s(p: Vector3, q: Vector3, fastest: float, steepest: float) -> floa
     return max(math.dist(p[:2], q[:2]) / fastest, abs(q[2] - p[2]) / steepest)
 
 
-def _speeds(target: Motion, limits: GuidanceConfig) -> tuple[float, float]:
-    """The greatest speeds across and along down: relative to a target that runs from who stands, its own."""
-    across, along = math.hypot(*target.velocity_m_s[:2]), abs(target.velocity_m_s[2])
-    return across + max(limits.horizontal_speed_m_s, across), along + max(limits.vertical_speed_m_s, along)
-
-
 def _from_rest_s(p: Vector3, q: Vector3, limits: GuidanceConfig) -> float:
     """Shortest time of a quintic from rest to rest within the limits."""
     push = max(
@@ -224,24 +218,3 @@ def _from_rest_s(p: Vector3, q: Vector3, limits: GuidanceConfig) -> float:
     )
     crossing_s = _crossing_s(p, q, limits.horizontal_speed_m_s, limits.vertical_speed_m_s)
     return max(_SHORTEST_S, REST_PEAK * crossing_s, math.sqrt(_REST_PUSH * push))
-
-
-def _stretch(course: Course, start: Motion, target: Motion, limits: GuidanceConfig) -> float:
-    """By what factor the durations should grow; what the start already exceeds cannot be mended."""
-    count = _CHECKED_PER_LEG * len(course.legs)
-    _, velocity, acceleration = course.rows(course.start_s, count + 1, course.duration_s / count)
-    fastest, steepest = _speeds(target, limits)
-    v, a = start.velocity_m_s, start.acceleration_m_s2
-    flat, steep = _greatest(velocity)
-    push, lift = _greatest(acceleration)
-    speed = max(flat / max(fastest, math.hypot(v[0], v[1])), steep / max(steepest, abs(v[2])))
-    harder = max(
-        push / max(limits.horizontal_acceleration_m_s2, math.hypot(a[0], a[1])),
-        lift / max(limits.vertical_acceleration_m_s2, abs(a[2])),
-    )
-    return max(speed, math.sqrt(harder))
-
-
-def _greatest(rows: FloatArray) -> tuple[float, float]:
-    """The greatest length across and along down of rows (n, 3)."""
-    return float(np.max(np.hypot(rows[:, 0], rows[:, 1]))), float(np.max(np.abs(rows[:, 2])))

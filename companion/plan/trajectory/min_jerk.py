@@ -12,20 +12,21 @@ which for vf = af = 0 gives back eq. 30.
 """
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3
+from companion.base.geometry import ZERO3, FloatArray, Vector3
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig
 
 Coefficients = tuple[float, float, float, float, float, float]
 
 REST_PEAK: Final = 1.875  # from rest to rest the greatest speed is so many times the mean
-_CHECKED_AT: Final = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
-_MOST_STRETCHES: Final = 4
+CHECKED: Final = 8  # so many steps of a way are looked at for its limits
+MOST_STRETCHES: Final = 8
 SHORTEST_STOP_S: Final = 0.6
 HARD_STOP_M_S2: Final = 3.0  # harder than the plan's own limits, for safety and to keep the pad in view
 
@@ -63,6 +64,19 @@ def quintic(
     )
 
 
+class _Way(Protocol):
+    @property
+    def start_s(self) -> float: ...
+
+    @property
+    def duration_s(self) -> float: ...
+
+    def at(self, time_s: float) -> Motion: ...
+
+
+_W = TypeVar("_W", bound=_Way)
+
+
 @dataclass(frozen=True, slots=True)
 class Trajectory:
     """Three quintics over [start_s, start_s + duration_s]; afterwards the final velocity goes on."""
@@ -78,21 +92,13 @@ class Trajectory:
 
     def at(self, time_s: float) -> Motion:
         """State at a time; the start's before it, the final position led by the final velocity after."""
-        tau, beyond_s = self._progress(time_s)
+        tau = min(1.0, max(0.0, (time_s - self.start_s) / self.duration_s))
+        beyond_s = max(0.0, time_s - self.end_s)
         x, y, z = self.axes
         px, vx, ax = _axis_at(x, tau, beyond_s, self.duration_s)
         py, vy, ay = _axis_at(y, tau, beyond_s, self.duration_s)
         pz, vz, az = _axis_at(z, tau, beyond_s, self.duration_s)
         return Motion((px, py, pz), (vx, vy, vz), (ax, ay, az))
-
-    def down_m(self, time_s: float) -> float:
-        """The third coordinate alone of the position at a time, as by `at`."""
-        return _axis_at(self.axes[2], *self._progress(time_s), self.duration_s)[0]
-
-    def _progress(self, time_s: float) -> tuple[float, float]:
-        """tau, and how long the end has been past (s)."""
-        tau = min(1.0, max(0.0, (time_s - self.start_s) / self.duration_s))
-        return tau, max(0.0, time_s - self.end_s)
 
     def rows(self, time_s: float, count: int, step_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Positions, velocities and accelerations, each (count, 3), at time_s + k * step_s."""
@@ -144,13 +150,16 @@ def plan(start: Motion, final: Motion, start_s: float, duration_s: float) -> Tra
 def brake(start: Motion, start_s: float, deceleration_m_s2: float) -> Trajectory:
     """Come to rest along the present velocity, about as gently as the given deceleration (m/s²)."""
     v = start.velocity_m_s
-    speed = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) ** 0.5
-    # a quintic from speed v to rest over v T / 2 peaks at 1.5 v / T
-    duration_s = max(SHORTEST_STOP_S, 1.5 * speed / deceleration_m_s2)
+    duration_s = stop_s((v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) ** 0.5, deceleration_m_s2)
     p = start.position_m
     half = 0.5 * duration_s
     final = Motion((p[0] + half * v[0], p[1] + half * v[1], p[2] + half * v[2]))
     return plan(start, final, start_s, duration_s)
+
+
+def stop_s(speed_m_s: float, deceleration_m_s2: float) -> float:
+    """How long `brake` takes: a quintic from speed v to rest over v T / 2 peaks at 1.5 v / T."""
+    return max(SHORTEST_STOP_S, 1.5 * speed_m_s / deceleration_m_s2)
 
 
 def carried(trajectory: Trajectory, by: Motion, at_s: float) -> Trajectory:
@@ -170,41 +179,57 @@ def carried(trajectory: Trajectory, by: Motion, at_s: float) -> Trajectory:
     return Trajectory(trajectory.start_s, trajectory.duration_s, (x, y, z))
 
 
-def within_limits(
-    moving: Motion, duration_s: float, longest_s: float, now_s: float, limits: GuidanceConfig
-) -> Trajectory:
-    """The way to the origin at rest, longer than asked where speed or acceleration would be too much.
+def within_limits(moving: Motion, duration_s: float, now_s: float, limits: GuidanceConfig) -> Trajectory:
+    """The way to the origin at rest, longer than asked where speed or acceleration would be too much."""
+    return stretched(lambda share: plan(moving, Motion(ZERO3), now_s, share * duration_s), limits)
 
-    Within reason: an acceleration at the start lasts the longer the longer the way, and more time makes
-    the speed that it leads to worse.
+
+def stretched(
+    lasting: Callable[[float], _W],
+    limits: GuidanceConfig,
+    target_m_s: Vector3 = ZERO3,
+    legs: int = 1,
+    near_enough: float = 1.001,
+) -> _W:
+    """The quickest of some ways that breaks no limit, unless its start does already: that cannot be mended.
+
+    Args:
+        lasting: the way that lasts so many times as long as the first; all have the same start.
+        limits: of the speed relative to the target, and of the acceleration.
+        target_m_s: velocity of what they lead to, in their frame.
+        legs: how many each of them has.
+        near_enough: so many times a limit counts as kept.
     """
-    best, least = None, math.inf
-    for _ in range(_MOST_STRETCHES + 1):
-        trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
-        stretch = _stretch(trajectory, moving, limits)
-        if best is None or stretch < least:
-            best, least = trajectory, stretch
-        if stretch <= 1.001:
+    times, way = 1.0, lasting(1.0)
+    excess = _excess(way, limits, target_m_s, legs)
+    for _ in range(MOST_STRETCHES):
+        if excess <= near_enough:
             break
-        duration_s = min(duration_s * min(stretch, 1.5), longest_s)
-    assert best is not None
-    return best
+        times *= min(excess, 1.5)
+        longer = lasting(times)
+        before, excess = excess, _excess(longer, limits, target_m_s, legs)
+        if excess >= before:
+            break  # an acceleration at the start lasts longer too, and leads to more speed
+        way = longer
+    return way
 
 
-def _stretch(trajectory: Trajectory, start: Motion, limits: GuidanceConfig) -> float:
-    """By what factor the duration should grow; what the start already exceeds cannot be helped."""
-    v, a = start.velocity_m_s, start.acceleration_m_s2
-    fastest, steepest = max(limits.horizontal_speed_m_s, _flat(v)), max(limits.vertical_speed_m_s, abs(v[2]))
-    push = max(limits.horizontal_acceleration_m_s2, _flat(a))
-    lift = max(limits.vertical_acceleration_m_s2, abs(a[2]))
-    speed = acceleration = 1.0
-    for tau in _CHECKED_AT:
-        motion = trajectory.at(trajectory.start_s + tau * trajectory.duration_s)
-        v, a = motion.velocity_m_s, motion.acceleration_m_s2
-        speed = max(speed, _flat(v) / fastest, abs(v[2]) / steepest)
-        acceleration = max(acceleration, _flat(a) / push, abs(a[2]) / lift)
-    return max(speed, math.sqrt(acceleration))
+def _excess(way: _Way, limits: GuidanceConfig, target_m_s: Vector3, legs: int) -> float:
+    """By what factor a way should last longer."""
+    step_s = way.duration_s / (legs * CHECKED)
+    along = [way.at(way.start_s + k * step_s) for k in range(legs * CHECKED + 1)]
+    push, lift = limits.horizontal_acceleration_m_s2, limits.vertical_acceleration_m_s2
+    speed = _over([m.velocity_m_s for m in along], *greatest_speeds(target_m_s, limits))
+    return max(speed, math.sqrt(_over([m.acceleration_m_s2 for m in along], push, lift)))
 
 
-def _flat(v: Vector3) -> float:
-    return math.hypot(v[0], v[1])
+def _over(along: Sequence[Vector3], across: float, down: float) -> float:
+    """The greatest of them over the limits across and along down, or over the first where that is more."""
+    flat, steep = [math.hypot(x, y) for x, y, _ in along], [abs(z) for *_, z in along]
+    return max(max(flat) / max(across, flat[0]), max(steep) / max(down, steep[0]))
+
+
+def greatest_speeds(target_m_s: Vector3, limits: GuidanceConfig) -> tuple[float, float]:
+    """The greatest speeds across and along down: relative to a target that runs from who stands, its own."""
+    across, along = math.hypot(*target_m_s[:2]), abs(target_m_s[2])
+    return across + max(limits.horizontal_speed_m_s, across), along + max(limits.vertical_speed_m_s, along)

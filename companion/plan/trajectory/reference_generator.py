@@ -19,10 +19,12 @@ from companion.base.geometry import Vector3, add, dot, norm, scale, subtract, wr
 from companion.base.messages import DescentCone, LevelOff, Reference
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
+from companion.plan.debounce import StepClock
 from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.coordinate_frames import STILL
 from companion.plan.trajectory.course import Course, PlannedPath
 from companion.plan.trajectory.min_jerk import (
+    CHECKED,
     HARD_STOP_M_S2,
     REST_PEAK,
     Trajectory,
@@ -38,14 +40,11 @@ RESET_DISTANCE_M: Final = 0.8  # reference to estimate: beyond it the reference 
 ReferenceFrame = Literal["pad", "local"]
 SpeedLaw = Callable[[float, float, float], float]
 
-_OVERSHOOT_SAMPLES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7)
 _MAX_OVERSHOOT_M = 0.3
 # The climb that begins a break-off close to the pad.
 _RISES_M_S = 0.3
 _RISES_WITHIN_S = 0.3
-_KEPT_SHARE = 0.9
 _TOO_LOW_M = 0.15
-_LONGEST_TIMES = 6.0
 SAME_POINT_M: Final = 0.5
 
 
@@ -70,7 +69,7 @@ class ReferenceGenerator:
         self._level: Trajectory | None = None
         self._rise: Trajectory | None = None
         self.heading_rad = 0.0
-        self._turned_s: float | None = None
+        self._turning = StepClock()
         self.speed_m_s = 0.0
         self.time_to_go_s = 0.0
 
@@ -166,7 +165,7 @@ class ReferenceGenerator:
         flown = self._trajectory
         if isinstance(flown, Course):
             same = math.dist(flown.at(flown.end_s).position_m, points[-1]) <= SAME_POINT_M
-            if same and self.avoidance.still_clear(flown, now_s):
+            if same and self.avoidance.clear(flown, now_s):
                 self.time_to_go_s = max(0.0, flown.end_s - now_s)
                 return
         course = self.avoidance.along(self.at(now_s), points, now_s)
@@ -194,11 +193,7 @@ class ReferenceGenerator:
         speed = self.pace * self._law(distance, dot(closing, unit), dot(gaining, unit))
         moving = Motion(scale(offset, -1.0), closing, gaining)
         duration_s = trajectory_time_s(distance, speed, self.limits.minimum_time_s)
-        asked_s = max(duration_s, self._left_s(now_s))
-        slowest_s = distance / min(speed, self.limits.vertical_speed_m_s)
-        stopping_s = norm(closing) / self.limits.vertical_acceleration_m_s2
-        longest_s = _LONGEST_TIMES * (self.limits.minimum_time_s + slowest_s + stopping_s)
-        relative = within_limits(moving, asked_s, longest_s, now_s, self.limits)
+        relative = within_limits(moving, duration_s, now_s, self.limits)
         direct = carried(relative, target, now_s)
         way = self.avoidance.way(
             direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
@@ -218,19 +213,18 @@ class ReferenceGenerator:
         planned anew from there it is longer still. No climb over an obstacle is meant, where the way is
         free for a cycle.
         """
-        lasts_s = way.end_s - now_s
-        z, goal, drift = start.position_m[2], target.position_m[2], target.velocity_m_s[2]
+        z, goal, step_s = start.position_m[2], target.position_m[2], (way.end_s - now_s) / CHECKED
         over_something = isinstance(self._trajectory, Course)
         beyond_m = 0.0
-        for after_s in (share * lasts_s for share in _OVERSHOOT_SAMPLES):
-            there = way.down_m(now_s + after_s)
-            goal_then = goal + drift * after_s
+        for after_s in (k * step_s for k in range(1, CHECKED)):
+            there = way.at(now_s + after_s).position_m[2]
+            goal_then = goal + target.velocity_m_s[2] * after_s
             above_m = 0.0 if over_something else min(z, goal, goal_then) - there
             beyond_m = max(beyond_m, there - max(z, goal, goal_then), above_m)
         if beyond_m <= _MAX_OVERSHOOT_M:
             return None
         level = brake(_upright(start), now_s, HARD_STOP_M_S2)
-        stopped_m = abs(level.down_m(level.end_s) - z)
+        stopped_m = abs(level.at(level.end_s).position_m[2] - z)
         return level if stopped_m < beyond_m else None
 
     def fly_level(self, target: Motion, lowest_down_m: float, now_s: float) -> float:
@@ -294,12 +288,11 @@ class ReferenceGenerator:
 
     def turn(self, heading_rad: float | None, now_s: float, pad_rate_rad_s: float = 0.0) -> None:
         """Slew the heading towards one, or keep it; a turning pad is caught up with at the rate allowed."""
-        if heading_rad is not None and self._turned_s is not None:
-            rate_rad_s = math.radians(self.limits.heading_rate_deg_s) + abs(pad_rate_rad_s)
-            most = rate_rad_s * max(0.0, now_s - self._turned_s)
+        elapsed_s = self._turning.step_s(now_s)
+        if heading_rad is not None:
+            most = (math.radians(self.limits.heading_rate_deg_s) + abs(pad_rate_rad_s)) * elapsed_s
             error = wrap_angle(heading_rad - self.heading_rad)
             self.heading_rad = wrap_angle(self.heading_rad + max(-most, min(most, error)))
-        self._turned_s = now_s
 
     def reference(
         self,
@@ -328,13 +321,6 @@ class ReferenceGenerator:
         self.avoidance.forget()
         self._trajectory, self._level = trajectory, None
         self.speed_m_s, self.time_to_go_s = 0.0, max(0.0, trajectory.end_s - now_s)
-
-    def _left_s(self, now_s: float) -> float:
-        """Most of what is left of the last plan: where limits made it longer they will again.
-
-        Only most of it, so that what no longer needs the time is soon rid of it.
-        """
-        return 0.0 if self._trajectory is None else _KEPT_SHARE * (self._trajectory.end_s - now_s)
 
 
 def _upright(motion: Motion) -> Motion:

@@ -198,7 +198,7 @@ def test_once_compared_it_is_asked_for_while_the_pad_is_unseen_only() -> None:
 def test_each_corner_is_sought_before_it_is_given_up_for_an_obstacle() -> None:
     # GIVEN a search whose every corner is out of reach
     search, generator = searching()
-    generator.avoidance.situation = "blocked"
+    generator.avoidance._block(0.0)
     corners = set()
     for k in range(round(10.0 * 30.0)):
         search._target(k / 30.0)

@@ -97,9 +97,9 @@ def felt(
         vehicle = replace(vehicle_state(now_s), side_force_ned_m_s2=(2.0 + swing, -1.0, 0.0))
         # the plan flies to the west by 1 m/s, the pad comes nearer by that and the speed off it
         sight = pad_state(now_s, (0.0, 0.0, height_m), (off_m_s, 1.0, 0.3))
-        monitor.update(sight, vehicle, (0.0, -1.0, 0.3), now_s)
-    assert monitor.now is not None
-    return monitor.now
+        conditions = monitor.update(sight, vehicle, (0.0, -1.0, 0.3), now_s)
+    assert conditions is not None
+    return conditions
 
 
 def test_a_steady_wind_and_a_planned_speed_are_no_bad_conditions() -> None:
@@ -125,8 +125,7 @@ def test_sight_is_the_error_as_seen_from_the_vehicle() -> None:
 
 def test_there_are_no_conditions_before_a_pad_is_seen() -> None:
     monitor = ConditionMonitor()
-    monitor.update(None, vehicle_state(0.0), None, 0.0)
-    assert monitor.now is None
+    assert monitor.update(None, vehicle_state(0.0), None, 0.0) is None
 
 
 def flown(pace: PaceLaw) -> PlanFlight:

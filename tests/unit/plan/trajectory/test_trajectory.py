@@ -385,7 +385,7 @@ def test_the_heading_slews_the_short_way_at_its_rate(quarter: int, offset_deg: f
     wanted = start + math.radians(offset_deg)
     g = generator()
     g.heading_rad = start
-    g.turn(wanted, 0.0)
+    g.turn(None, 0.0)
     g.turn(wanted, 1.0)
     turned = math.degrees(math.remainder(g.heading_rad - start, math.tau))
     assert turned == pytest.approx(math.copysign(30.0, offset_deg))
@@ -398,7 +398,7 @@ def test_the_heading_slews_the_short_way_at_its_rate(quarter: int, offset_deg: f
 def test_a_pad_that_turns_is_caught_up_with_at_the_rate(pad_deg_s: float) -> None:
     g, rate = generator(), math.radians(pad_deg_s)
     pad_rad = math.copysign(math.radians(75.0), pad_deg_s)
-    g.turn(pad_rad, 0.0, rate)
+    g.turn(None, 0.0)
     behind_deg = []
     for second in (1.0, 2.0, 3.0):
         now_rad = pad_rad + rate * second
