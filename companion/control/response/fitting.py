@@ -11,7 +11,7 @@ from typing import Final
 from companion.base.messages import AutopilotSetup
 from companion.config import AxisResponse, ControlConfig, KindResponse, TrackingConfig, VehicleConfig
 
-# the x500's under PX4 by acceleration: 46 ms and 2 x 0.71 / 14.9 rad/s (`config.vehicle`)
+# the delay up to which the weights of `control` are used as they are; judged
 QUICK_S: Final = 0.14
 # an autopilot that does not report its limit may cut anywhere: the least that PX4 accepts (MPC_TILTMAX_AIR)
 CAREFUL_TILT_DEG: Final = 20.0
