@@ -46,15 +46,13 @@ WRONG_FOR_S: Final = 0.2  # an attitude, before it is corrected: a manoeuvre tha
 class VehiclePlace(NamedTuple):
     """The vehicle's position (m, NED) from `origin` (latitude deg, longitude deg, altitude m).
 
-    The standard deviations (m, m/s) of position and velocity are axis by axis; the position's error has
-    forgotten itself after `wander_s`.
+    The standard deviations (m, m/s) of position and velocity are axis by axis.
     """
 
     position_ned_m: Vector3
     position_std_m: Vector3
     velocity_std_m_s: Vector3
     origin: Vector3
-    wander_s: float
 
 
 class _Gap(NamedTuple):

@@ -1,7 +1,7 @@
 """The pad's beacon in NED, as the pad filter takes it: its GPS minus ours. Pure.
 
-Both are off by metres that wander over a minute, its as ours: that is one error of all its fixes, not noise.
-So is what a pad drives until its fix has come.
+Both are off by metres that wander over a minute: that is one error of all its fixes, not noise. So is what a
+pad drives until its fix has come.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from companion.estimate.pad.observation import (
     VehicleAtExposure,
 )
 
+WANDER_S: Final = 60.0  # as `estimate.ekf.gps_wander_s` has it of ours
 NOISE_SHARE: Final = 0.3  # of what both are off by; the rest does not change from fix to fix
 NOISE_M: Final = 0.05  # at least: RTK
 DELAY_STD_S: Final = 0.5  # a fix's age on arrival: the answer's way, and a receiver of 1 Hz
@@ -51,7 +52,7 @@ def in_ned(beacon: PadBeacon, exposure: VehicleAtExposure) -> RelativeFix | None
         covariance_ned_m2=np.diag(noise),
         vehicle_velocity_ned_m_s=exposure.velocity_ned_m_s,
         relative_velocity=velocity,
-        common=CommonError("beacon", _each(math.hypot, off_m, late_m), place.wander_s),
+        common=CommonError("beacon", _each(math.hypot, off_m, late_m), WANDER_S),
     )
 
 

@@ -267,11 +267,7 @@ class VehicleEstimator:
         velocity, moved = vector3(x[model.VELOCITY]), self.motion.moved(ekf.time_s, time_s)[0]
         position = add(vector3(x[model.POSITION]), scale(velocity, time_s - ekf.time_s))
         return VehiclePlace(
-            add(position, moved),
-            vector3(std[model.POSITION]),
-            vector3(std[model.VELOCITY]),
-            origin,
-            self._config.ekf.gps_wander_s,
+            add(position, moved), vector3(std[model.POSITION]), vector3(std[model.VELOCITY]), origin
         )
 
     def state(self, now_s: float, link_late_s: float = 0.0) -> VehicleState | None:
