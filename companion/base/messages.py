@@ -446,13 +446,14 @@ class ActionResult:
     """How an action ended; a refused one carries the autopilot's text.
 
     `in_doubt`: it left, and neither was it denied nor has the autopilot's state shown it: an answer was lost.
+    None: it never left, so that it says nothing of what was asked for before.
     """
 
     time_s: float
     kind: ActionKind
     accepted: bool
     text: str = ""
-    in_doubt: bool = False
+    in_doubt: bool | None = False
 
 
 @dataclass(frozen=True, slots=True)

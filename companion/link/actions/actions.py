@@ -16,7 +16,7 @@ from companion.base.clock import Clock
 from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
-from companion.link.actions.dialogue import Dialogue, InDoubt, Refused, wanted
+from companion.link.actions.dialogue import Denied, Dialogue, InDoubt, Refused, wanted
 from companion.link.autopilot_setup import UNREAD, loss_refusal, thrust_refusal
 from companion.link.codec import mavlink
 from companion.link.commands import GUIDED_OPTIONS, THRUST_IS_THRUST, WITHDRAWN, request_message
@@ -87,7 +87,7 @@ class PymavlinkActions:
 
         `asked_in`: the mode in which it was asked for, if that was not just now: a change since then counts.
         """
-        since = self.mode if asked_in is None else asked_in
+        since, left_before = self.mode if asked_in is None else asked_in, self.dialogue.left
         work = asyncio.create_task(self._result(self._handlers[action.kind], action, since))
         self._under_way.append(work)
         try:
@@ -96,9 +96,8 @@ class PymavlinkActions:
             self._under_way.remove(work)
             work.cancel()  # when it is we who are cancelled; nothing once it is done
         if work.cancelled():
-            return ActionResult(
-                self._clock.now_s(), action.kind, accepted=False, text=WITHDRAWN, in_doubt=True
-            )
+            in_doubt = True if self.dialogue.left > left_before else None
+            return ActionResult(self._clock.now_s(), action.kind, False, WITHDRAWN, in_doubt)
         return work.result()
 
     def cancel(self) -> None:
@@ -122,7 +121,7 @@ class PymavlinkActions:
             count = session.texts_heard - heard_before
             words = session.state.texts[-count:] if count > 0 else ()
             text = "; ".join((str(refusal), *words))
-            in_doubt = isinstance(refusal, InDoubt)
+            in_doubt = isinstance(refusal, InDoubt) if isinstance(refusal, InDoubt | Denied) else None
             return ActionResult(clock.now_s(), action.kind, accepted=False, text=text, in_doubt=in_doubt)
         return ActionResult(clock.now_s(), action.kind, accepted=True)
 
@@ -135,11 +134,23 @@ class PymavlinkActions:
         heartbeat that shows it armed: where the answer was lost, nobody can tell who has armed it.
         """
         await self.require_setup()  # on the ground is the better place to hear that control will be refused
-        profile = self.dialogue.profile()
-        if profile.takes_off_under_control:
-            await self.dialogue.set_mode(profile.control_mode, self.unless_armed)
+        await self.ready_to_arm()
         await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0), void=self.unless_armed)
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
+
+    async def ready_to_arm(self) -> None:
+        """Put it into the mode in which it is to be armed, if any.
+
+        Raises:
+            Refused: it is not in it, or is armed already. Whatever became of the mode, no ARM has left.
+        """
+        profile = self.dialogue.profile()
+        if profile.takes_off_under_control:
+            try:
+                await self.dialogue.set_mode(profile.control_mode, self.unless_armed)
+            except Refused as refusal:
+                raise Refused(str(refusal)) from refusal
+        wanted(self.unless_armed)
 
     async def _take_off(self, action: Action, asked_in: str) -> None:
         profile = self.dialogue.profile()
@@ -264,9 +275,7 @@ class PymavlinkActions:
         void = self.unless_taken_up(asked_in)
         try:
             await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0), void=void)
-        except InDoubt:
-            raise
-        except Refused:
+        except Denied:
             if not (action.force and self._config.force_disarm):
                 raise
             await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, _FORCE), void=void)

@@ -14,6 +14,7 @@ from companion.base.geometry import Vector3
 from companion.link.codec import mavlink
 from companion.link.commands import (
     NO_ANSWER,
+    WITHDRAWN,
     ParameterRequest,
     Pending,
     VehicleCommand,
@@ -27,6 +28,10 @@ _CONFIRM_S: Final = 2.5  # some autopilots report a new mode only in the next he
 
 class Refused(Exception):  # noqa: N818 - it reads as what happened
     """An action came to nothing; the text says why."""
+
+
+class Denied(Refused):
+    """The autopilot's own answer says so."""
 
 
 class InDoubt(Refused):
@@ -55,6 +60,7 @@ class Dialogue:
         self._send = send
         self._clock = clock
         self._waited_for: list[Pending | ParameterRequest] = []
+        self.left = 0  # how many have left so far
 
     def withdraw(self) -> None:
         """Send nothing more of all that is waited for."""
@@ -105,8 +111,9 @@ class Dialogue:
         """Send a command to the autopilot and wait for its answer.
 
         Raises:
-            InDoubt: it does not answer, or it is void before it has.
-            Refused: it answers something else than "accepted", or it is void before it leaves.
+            InDoubt: it does not answer, or it is void or withdrawn before it has.
+            Denied: it answers something else than "accepted".
+            Refused: it is void before it leaves.
         """
         unused = self.profile().unused_parameter
         if position is None:
@@ -115,8 +122,10 @@ class Dialogue:
         outcome = await self.outcome(self._session.command(command), void=void)
         if outcome == NO_ANSWER:
             raise InDoubt("the autopilot does not answer")
+        if outcome == WITHDRAWN:
+            raise InDoubt(outcome)
         if outcome != "accepted":
-            raise Refused(outcome)
+            raise Denied(outcome)
 
     async def confirm(
         self, holds: Callable[[], bool], what: str, void: Callable[[], str] = _wanted_still
@@ -170,6 +179,7 @@ class Dialogue:
                 if pending.outcome is None:
                     await self._clock.sleep_until(now_s + _POLL_S)
         finally:
+            self.left += pending.tries > 0
             self._waited_for.remove(pending)
             self._session.withdraw(pending)
         return pending.outcome or NO_ANSWER

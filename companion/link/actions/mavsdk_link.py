@@ -27,7 +27,7 @@ from companion.base.clock import Clock
 from companion.base.messages import Action
 from companion.config import ConfigError, LinkConfig
 from companion.link.actions.actions import PymavlinkActions
-from companion.link.actions.dialogue import InDoubt, Refused, wanted
+from companion.link.actions.dialogue import Denied, InDoubt, Refused, wanted
 from companion.link.codec import has_command, holds_only, mavlink
 from companion.link.session import Session
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES
@@ -47,6 +47,7 @@ _STREAMS: Final = SENSOR_MESSAGES | {
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
 }
+_UNSENT: Final = frozenset({"no system", "connection error", "invalid argument"})
 _log = logging.getLogger(__name__)
 
 
@@ -123,10 +124,7 @@ class MavsdkActions(PymavlinkActions):
     async def _arm(self, action: Action, asked_in: str) -> None:
         await self._connect()
         await self.require_setup()
-        profile = self.dialogue.profile()
-        if profile.takes_off_under_control:
-            await self.dialogue.set_mode(profile.control_mode, self.unless_armed)
-        wanted(self.unless_armed)
+        await self.ready_to_arm()
         await self._try(self._action.arm())
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
 
@@ -198,12 +196,20 @@ class MavsdkActions(PymavlinkActions):
             self._action = ActionAsync(system)
 
     async def _try(self, call: Coroutine[Any, Any, T]) -> T:
-        """The outcome of a call; MAVSDK's error as a refusal."""
+        """The outcome of a call.
+
+        Raises:
+            InDoubt: MAVSDK has had no answer.
+            Refused: it has sent nothing.
+            Denied: any other error of MAVSDK's: the autopilot's answer.
+        """
+        self.dialogue.left += 1
         try:
             return await self._call(call)
         except MavsdkError as error:
             words = _words(error)
-            raise (InDoubt if words == "timeout" else Refused)(words) from error
+            kind = InDoubt if words == "timeout" else Refused if words in _UNSENT else Denied
+            raise kind(words) from error
 
     async def _call(self, call: Coroutine[Any, Any, T]) -> T:
         """Run a call to its end even when we are cancelled: its thread cannot be stopped, only waited for."""

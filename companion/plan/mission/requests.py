@@ -22,14 +22,22 @@ class _Pending:
     why: str = ""
 
 
+@dataclass(slots=True)
+class _Fate:
+    """What has become of a kind of request since `forget`."""
+
+    awaited: int = 0  # so many answers are still to come
+    granted: bool = False
+    in_doubt: bool = False
+
+
 class Requests:
     """The open requests, at most one of a kind."""
 
     def __init__(self, retry_s: float, answer_s: float, attempts: int) -> None:
         self._retry_s, self._answer_s, self._attempts = retry_s, answer_s, attempts
         self._pending: dict[ActionKind, _Pending] = {}
-        # what has left since `forget`, with the answer to the last of it: None while that is still to come
-        self._answers: dict[ActionKind, ActionResult | None] = {}
+        self._fates: dict[ActionKind, _Fate] = {}  # of what has been sent since `forget`
         self._in_doubt_before: frozenset[ActionKind] = frozenset()
         self._reports: list[Action] = []
         self._news: list[str] = []
@@ -55,34 +63,36 @@ class Requests:
 
     def forget(self) -> None:
         """Drop what is open and what was granted: a new phase asks anew."""
-        self._in_doubt_before = frozenset(kind for kind in self._answers if self.in_doubt(kind))
+        self._in_doubt_before = frozenset(kind for kind in self._fates if self.in_doubt(kind))
         self._pending.clear()
-        self._answers.clear()
+        self._fates.clear()
         self._news.clear()
 
     def granted(self, kind: ActionKind) -> bool:
         """Whether a request of this kind was accepted since `forget`."""
-        answer = self._answers.get(kind)
-        return answer is not None and answer.accepted
+        return kind in self._fates and self._fates[kind].granted
 
     def in_doubt(self, kind: ActionKind) -> bool:
-        """Whether a request of this kind has left since `forget`, and was neither granted nor denied."""
-        answer = self._answers.get(kind)
-        return kind in self._answers and (answer is None or answer.in_doubt)
+        """Whether a request of this kind may have left since `forget`, and was neither granted nor denied.
+
+        Only the autopilot's own denial ends a doubt: a try that did not leave says nothing of one before it.
+        """
+        fate = self._fates.get(kind)
+        return fate is not None and not fate.granted and (fate.in_doubt or fate.awaited > 0)
 
     def awaited(self, kind: ActionKind) -> bool:
         """Whether the answer to a request of this kind is still to come."""
-        return kind in self._answers and self._answers[kind] is None
+        return kind in self._fates and self._fates[kind].awaited > 0
 
     @property
     def asked_last(self) -> frozenset[ActionKind]:
         """What is asked for or was granted since `forget`, and what may still be carried out of before."""
-        may_be_done = {kind for kind in self._answers if self.granted(kind) or self.in_doubt(kind)}
+        may_be_done = {kind for kind in self._fates if self.granted(kind) or self.in_doubt(kind)}
         return self._in_doubt_before | may_be_done | self._pending.keys()
 
     def asked(self, kind: ActionKind) -> bool:
         """Whether a request of this kind has left since `forget`."""
-        return kind in self._answers
+        return kind in self._fates
 
     def hear(self, results: tuple[ActionResult, ...], now_s: float) -> tuple[str, ...]:
         """Take the answers in; returns why a request is given up, for each that is."""
@@ -90,7 +100,10 @@ class Requests:
             open_request = self._pending.get(result.kind)
             if open_request is None or open_request.sent == 0:
                 continue
-            self._answers[result.kind] = result
+            fate = self._fates[result.kind]
+            fate.awaited = max(0, fate.awaited - 1)
+            fate.granted |= result.accepted
+            fate.in_doubt = fate.in_doubt if result.in_doubt is None else result.in_doubt
             if result.accepted:
                 del self._pending[result.kind]
             else:
@@ -107,7 +120,7 @@ class Requests:
         """The actions to send now."""
         ready = [p for p in self._pending.values() if p.due_s <= now_s]
         for p in ready:
-            self._answers[p.action.kind] = None
+            self._fates.setdefault(p.action.kind, _Fate()).awaited += 1
             self._pending[p.action.kind] = replace(
                 p, due_s=float("inf"), sent=p.sent + 1, answer_by_s=now_s + self._answer_s
             )

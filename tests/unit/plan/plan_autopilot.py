@@ -39,7 +39,7 @@ class PlanAutopilot:
         if kind is ActionKind.REQUEST_PAD_POSITION:
             return None
         if kind is ActionKind.ARM and self.armed:
-            return ActionResult(now_s, kind, False, "armed before it has answered")
+            return ActionResult(now_s, kind, False, "armed before it has answered", in_doubt=None)
         if kind in self.silent:
             return ActionResult(now_s + GIVES_UP_S, kind, False, "it does not answer", in_doubt=True)
         if kind is ActionKind.HOLD_IF_OBEYED and self.mode not in {"OFFBOARD", "GUIDED"}:

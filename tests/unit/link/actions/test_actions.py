@@ -284,7 +284,40 @@ def test_what_somebody_else_arms_before_our_request_is_answered_is_no_arming_of_
     [result] = fly(autopilot, story)
     assert (result.accepted, result.text) == (False, "armed before it has answered")
     assert len(autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == asked_first
-    assert result.in_doubt is asked_first  # it may as well have been ours
+    assert result.in_doubt is (True if asked_first else None)  # it may as well have been ours
+
+
+def test_a_mode_in_doubt_before_it_is_no_arming_that_has_left() -> None:
+    # GIVEN an ArduPilot whose answer to GUIDED is lost, WHEN its pilot arms meanwhile
+    autopilot = autopilot_of("ardupilot")
+    autopilot.deaf_to[mavlink.MAV_CMD_DO_SET_MODE] = 99
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.ARM)))
+        await asyncio.sleep(0.8)
+        autopilot.armed = True
+        return [await asking]
+
+    [result] = fly(autopilot, story)
+    # THEN nothing of the request can have armed it
+    assert (result.accepted, result.in_doubt) == (False, None)
+    assert autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == []
+
+
+@pytest.mark.parametrize("deaf", [True, False])
+def test_a_withdrawn_request_is_in_doubt_where_it_has_left(deaf: bool) -> None:
+    autopilot = autopilot_of("px4")
+    autopilot.deaf_to[mavlink.MAV_CMD_COMPONENT_ARM_DISARM] = 99 if deaf else 0
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.ARM)))
+        await asyncio.sleep(0.1 if deaf else 0.0)
+        actions.cancel()
+        return [await asking]
+
+    [result] = fly(autopilot, story)
+    assert len(autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == deaf
+    assert (result.text, result.in_doubt) == ("withdrawn", True if deaf else None)
 
 
 @pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)

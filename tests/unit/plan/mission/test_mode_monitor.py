@@ -404,6 +404,19 @@ def test_what_was_asked_last_is_what_may_still_be_carried_out() -> None:
     assert r.asked_last == {ActionKind.HOLD}
 
 
+@pytest.mark.parametrize("left", [True, False])
+def test_a_try_that_does_not_leave_says_nothing_of_the_one_before_it(left: bool) -> None:
+    r = requests()
+    r.ask(GO, 0.0)
+    for k, in_doubt in enumerate((True if left else None, None)):
+        assert r.due(10.0 * k) == (GO,)
+        r.hear((ActionResult(10.0 * k, ActionKind.GO_TO, False, "not now", in_doubt),), 10.0 * k)
+        assert (r.in_doubt(ActionKind.GO_TO), r.awaited(ActionKind.GO_TO)) == (left, False)
+    r.due(20.0)
+    r.hear((ActionResult(20.0, ActionKind.GO_TO, False, "denied"),), 20.0)
+    assert not r.in_doubt(ActionKind.GO_TO)
+
+
 @pytest.mark.parametrize(
     ("answer", "in_doubt"),
     [

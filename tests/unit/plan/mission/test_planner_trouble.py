@@ -80,6 +80,28 @@ def test_a_vehicle_that_our_lost_answer_or_its_pilot_has_armed_does_not_take_off
     assert not w.autopilot.armed
 
 
+def test_what_our_first_request_has_armed_is_disarmed_though_the_second_did_not_leave() -> None:
+    w, asked_s = world(), list[float]()
+    answer = w.autopilot.answer
+
+    def loses(action: Action, position: Vector3, now_s: float) -> ActionResult | None:
+        if action.kind is not ActionKind.ARM:
+            return answer(action, position, now_s)
+        asked_s.append(now_s)
+        lost = len(asked_s) == 1
+        words = "the autopilot does not answer" if lost else "no autopilot on the link"
+        return ActionResult(now_s + (2.2 if lost else 0.2), action.kind, False, words, True if lost else None)
+
+    w.autopilot.answer = loses  # type: ignore[method-assign]
+    w.fly(20.0, until=lambda _w: len(asked_s) > 1)
+    w.fly(0.5, until=lambda _w: False)
+    w.autopilot.armed = True
+    w.fly(20.0)
+    w.fly(1.0, until=lambda w: not w.planner.waiting)
+    assert [kind for _, kind in w.autopilot.heard] == [ActionKind.DISARM]
+    assert not w.autopilot.armed
+
+
 @pytest.mark.parametrize("late_s", [1.0, 6.5, 7.9, 11.0])
 def test_as_long_as_arming_is_not_answered_nobody_is_said_to_have_armed_and_a_late_answer_counts(
     late_s: float,
