@@ -389,7 +389,9 @@ class TouchdownSequence:
 
     def set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go straight down, without the pad, until something solid is below."""
-        self.met = sight
+        seen = sight is not None and sight.unseen_s <= UNSEEN_S
+        if seen or not (self._short_echoes.begun or self.contact.touching):
+            self.met = sight
         vehicle, landed, fresh = inputs.vehicle, inputs.autopilot.landed, imu_fresh(inputs.vehicle, now_s)
         self._levelling.stay(now_s)
         if vehicle is not None:
