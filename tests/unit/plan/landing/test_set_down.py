@@ -29,6 +29,23 @@ def test_under_the_autopilots_land_the_contact_is_felt() -> None:
     assert found[0] is MissionEvent.CONTACT
 
 
+def test_set_down_out_of_view_the_pad_stays_where_the_feet_met_it() -> None:
+    """While the autopilot takes its time to find a landing, no prediction takes it away."""
+    sequence, now_s = sinking()._sequence, 10.0
+    enter_touchdown(sequence, State.SET_DOWN, None, vehicle_state(now_s), now_s)
+    touched_std_m = 0.0
+    for k in range(90):
+        now_s, std_m = now_s + CYCLE_S, 0.1 + 0.03 * k
+        variances = tuple(tuple(std_m**2 * (row == column) for column in range(6)) for row in range(6))
+        unseen = replace(sight(height=LEG_M, age=1.5 + k * CYCLE_S), covariance=variances)
+        inputs = PlanInputs(vehicle_state(now_s), None, LANDING, range=RangeSample(now_s, 0.1))
+        touch_down(sequence, State.SET_DOWN, unseen, inputs, now_s)
+        touched_std_m = touched_std_m or (std_m if sequence.contact.touching else 0.0)
+    assert touched_std_m > 0.0
+    assert sequence.met is not None
+    assert sequence.met.lateral_std_m() <= touched_std_m < 0.5 * std_m
+
+
 def test_what_an_earlier_try_stood_does_not_cut_the_motors_of_a_later_one() -> None:
     sequence, now_s = sinking()._sequence, 10.0
     inputs = PlanInputs(vehicle_state(now_s), None, LANDING, range=RangeSample(now_s, 0.1))
