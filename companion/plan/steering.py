@@ -28,7 +28,7 @@ from companion.plan.debounce import Debounce
 from companion.plan.estimate_steps import EstimateSteps
 from companion.plan.events import NOTICE_THRESHOLD_M, Announcements, DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.approach_descent import Landing
+from companion.plan.landing.approach_descent import ApproachDescent
 from companion.plan.landing.contact import AWAY_M, KNOWN_S, WITHIN_HAND_M, echo_height_m
 from companion.plan.landing.contact_filter import ContactFilter
 from companion.plan.landing.height_above_ground import HeightAboveGround
@@ -129,8 +129,8 @@ class PhaseSteering:
             say=say,
         )
         self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
-        self._new_approach = partial(Landing, config.landing, vehicle, generator, say)
-        self._landing = self._new_approach(0.0, 0.0)
+        self._new_approach = partial(ApproachDescent, config.landing, vehicle, generator, say)
+        self._approach = self._new_approach(0.0, 0.0)
         self._new_try = partial(
             TouchdownSequence,
             config.touchdown,
@@ -204,8 +204,8 @@ class PhaseSteering:
         level = state in COMMITTED or self.touchdown.leaving(now_s)
         return self._generator.reference(
             now_s,
-            minimum_height_m=self._landing.minimum_height_m(now_s) if above else None,
-            cone=self._landing.cone if descends else None,
+            minimum_height_m=self._approach.minimum_height_m(now_s) if above else None,
+            cone=self._approach.cone if descends else None,
             level_off=self.touchdown.level_off() if level else None,
         )
 
@@ -272,9 +272,9 @@ class PhaseSteering:
         if self._pad.motion is not None:
             self._generator.change_frame("pad", self._pad.motion, now_s)
         again = previous in BY_THE_PAD
-        self._landing = self._new_approach(-self._generator.at(now_s).position_m[2], now_s, again=again)
+        self._approach = self._new_approach(-self._generator.at(now_s).position_m[2], now_s, again=again)
         if again:
-            height_m = self._landing.goal_m - self._vehicle.leg_height_m
+            height_m = self._approach.goal_m - self._vehicle.leg_height_m
             self._say("climb", f"back to {height_m:.1f} m over the pad to try again", now_s, "warning")
 
     def _enter_hold(self, previous: State, had: Authority, inputs: PlanInputs, now_s: float) -> None:
@@ -353,7 +353,7 @@ class PhaseSteering:
             return None
         self._keep_near_pad(inputs, now_s)
         likely, descends = self.search.locator.likely(now_s), self._machine.state is State.DESCEND
-        event = self._landing.step(self._pad, likely, self._lowest_down_m(), now_s, descends=descends)
+        event = self._approach.step(self._pad, likely, self._lowest_down_m(), now_s, descends=descends)
         if self._pad.sight is not None and self.search.ask_again(self._pad.sight.age_s, now_s):
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
         return event

@@ -30,7 +30,7 @@ _CHASED_M = 0.5
 _FLOOR_M = 0.15  # over where it would stand: a pad that heaves does not reach the feet in the descent
 
 
-class Landing:
+class ApproachDescent:
     """One approach and its descent.
 
     While the pad is unseen the vehicle goes by its likely place, and a floor, `lowest_down_m`; EKF's NED.

@@ -60,7 +60,7 @@ def aligned(sight: PadState, wait_height_m: float, tolerance_scale: float, confi
     )
 
 
-def stopping_m(sink_m_s: float, tilt_rad: float, foot_reach_m: float) -> float:
+def room_to_stop_m(sink_m_s: float, tilt_rad: float, foot_reach_m: float) -> float:
     """How much lower the lowest foot of a vehicle that sinks and tilts so gets before it rises."""
     sink = max(0.0, sink_m_s)
     below_m = foot_reach_m * math.sin(tilt_rad + _TILTS_MORE_RAD)

@@ -59,7 +59,7 @@ from companion.plan.landing.contact_filter import (
 from companion.plan.landing.levelling import SLOWEST_SINK, Levelling, TiltPrediction, level_at
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
-from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m
+from companion.plan.landing.tolerance import Tolerance, aligned, gentle, room_to_stop_m, slides_off
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # Time constant with which the reference's height follows the vehicle's.
@@ -352,7 +352,7 @@ class TouchdownSequence:
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:
         """Whether it can stop and rise before a foot touches what is so far below."""
         tilt_rad = max(self.tilt.tilt_rad, math.radians(self._config.contact_tilt_deg))
-        room_m = stopping_m(sink_m_s, tilt_rad, self._vehicle.foot_reach_m)
+        room_m = room_to_stop_m(sink_m_s, tilt_rad, self._vehicle.foot_reach_m)
         return height_m - self._vehicle.leg_height_m > max(self._config.break_off_above_m, room_m)
 
     def _give_way(self, sight: PadState | None, now_s: float) -> None:

@@ -86,7 +86,7 @@ class Guard(Enum):
     """What else has to hold for a branch to be taken: in words, and by the circumstances."""
 
     ALWAYS = "always", lambda _: True
-    NOT_TAKEN = (
+    PILOTS = (
         "it flew by its pilot when ordered, and control was never ours",
         lambda c: c.authority is Authority.PILOT,
     )

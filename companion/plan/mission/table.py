@@ -94,7 +94,7 @@ _LEAVE_OFFBOARD: Final = replace(
 )
 # Control returns to the autopilot. A vehicle that stands would lift off to hold a position: it lands.
 # Once control was asked for, it counts what may have been obeyed, not what was answered.
-_NEVER_OURS: Final = (_end(_HOLD_IF_OBEYED, guard=Guard.MAY_OBEY), _end(guard=Guard.NOT_TAKEN))
+_NEVER_OURS: Final = (_end(_HOLD_IF_OBEYED, guard=Guard.MAY_OBEY), _end(guard=Guard.PILOTS))
 # Near the ground or the pad it would hold there until it has drifted onto it: the autopilot rises first.
 _RISE: Final = replace(_end(replace(_HOLD, height_m=2.0), guard=Guard.NEAR), effects=(Effect.STOP_SETPOINTS,))
 _RETURN_CONTROL: Final = (*_NEVER_OURS, _end(_LAND, guard=Guard.ON_SURFACE), _RISE, _end(_HOLD))
@@ -155,7 +155,7 @@ ROWS: Final = (
         E.CONTROL_GRANTED,
         {S.ROUTE, S.SEARCH},
         # its pilot has flown on meanwhile
-        Branch(None, (), Authority.OURS, (Effect.SEARCH_FROM_HERE,), Guard.NOT_TAKEN),
+        Branch(None, (), Authority.OURS, (Effect.SEARCH_FROM_HERE,), Guard.PILOTS),
         Branch(None, authority=Authority.OURS, guard=Guard.CONTROL_NONE),
     ),
     # ---- to the pad
