@@ -118,19 +118,19 @@ async def enter(tab: Tab, url: str) -> None:
 
 
 async def test_a_landing_is_watched_and_stopped_from_a_phone(tmp_path: Path) -> None:
-    process = await asyncio.create_subprocess_exec(
-        *COMMAND,
-        *("--sitl", "--no-ui", "--scenario", "static", "--serve", "127.0.0.1:0"),
-        *("--config", str(settings(tmp_path))),
-        cwd=ROOT,
-        env=environment() | {"PYTHONUNBUFFERED": "1"},
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.STDOUT,
-    )
-    try:
-        landing = LandingApp(process)
-        url = (await landing.says(r"live page at (\S+)"))[1]
-        async with browser(tmp_path) as tab:
+    async with browser(tmp_path) as tab:  # it starts before the flight does, which waits for nobody
+        process = await asyncio.create_subprocess_exec(
+            *COMMAND,
+            *("--sitl", "--no-ui", "--scenario", "static", "--serve", "127.0.0.1:0"),
+            *("--config", str(settings(tmp_path))),
+            cwd=ROOT,
+            env=environment() | {"PYTHONUNBUFFERED": "1"},
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+        )
+        try:
+            landing = LandingApp(process)
+            url = (await landing.says(r"live page at (\S+)"))[1]
             await tab.resize(PHONE, 2.0)
             await enter(tab, url)
             await looks_well(tab)
@@ -150,8 +150,8 @@ async def test_a_landing_is_watched_and_stopped_from_a_phone(tmp_path: Path) -> 
             await tab.wait_for("document.getElementById('alarm').textContent.includes('NO DATA')")
             assert await tab.evaluate("document.getElementById('orders').hidden")
             assert [line for line in tab.console if "ERR_CONNECTION_REFUSED" not in line] == []
-        assert TOKEN not in landing.said
-    finally:
-        if process.returncode is None:
-            process.kill()
-        await process.wait()
+            assert TOKEN not in landing.said
+        finally:
+            if process.returncode is None:
+                process.kill()
+            await process.wait()
