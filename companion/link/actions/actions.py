@@ -16,7 +16,7 @@ from companion.base.clock import Clock
 from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
-from companion.link.actions.dialogue import Denied, Dialogue, InDoubt, Refused, wanted
+from companion.link.actions.dialogue import Denied, Dialogue, Refused, wanted
 from companion.link.autopilot_setup import UNREAD, loss_refusal, thrust_refusal
 from companion.link.codec import mavlink
 from companion.link.commands import GUIDED_OPTIONS, THRUST_IS_THRUST, WITHDRAWN, request_message
@@ -121,8 +121,7 @@ class PymavlinkActions:
             count = session.texts_heard - heard_before
             words = session.state.texts[-count:] if count > 0 else ()
             text = "; ".join((str(refusal), *words))
-            in_doubt = isinstance(refusal, InDoubt) if isinstance(refusal, InDoubt | Denied) else None
-            return ActionResult(clock.now_s(), action.kind, accepted=False, text=text, in_doubt=in_doubt)
+            return ActionResult(clock.now_s(), action.kind, False, text, refusal.in_doubt)
         return ActionResult(clock.now_s(), action.kind, accepted=True)
 
     # ------------------------------------------------------------ the actions

@@ -27,15 +27,21 @@ _CONFIRM_S: Final = 2.5  # some autopilots report a new mode only in the next he
 
 
 class Refused(Exception):  # noqa: N818 - it reads as what happened
-    """An action came to nothing; the text says why."""
+    """An action came to nothing; the text says why. `in_doubt` as in `ActionResult`."""
+
+    in_doubt: bool | None = None
 
 
 class Denied(Refused):
     """The autopilot's own answer says so."""
 
+    in_doubt = False
+
 
 class InDoubt(Refused):
     """It left, and was not denied, so that it may have been carried out or not."""
+
+    in_doubt = True
 
 
 def _wanted_still() -> str:
