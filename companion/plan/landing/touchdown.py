@@ -115,6 +115,13 @@ class TouchdownSequence:
         if vehicle is not None:
             self.tilt.note(vehicle.attitude, sight, now_s)
 
+    def _meet(self, sight: PadState | None, *, down: bool) -> bool:
+        """Note the pad, unless the feet may be down: then no prediction takes it away; whether it is seen."""
+        seen = sight is not None and sight.unseen_s <= UNSEEN_S
+        if seen or not down:
+            self.met = sight
+        return seen
+
     def unconfirmed(self, sight: PadState | None) -> bool:
         """Whether nothing shows the feet on the pad since our setpoints may not have arrived."""
         unseen = sight is None or sight.unseen_s > UNSEEN_S
@@ -203,9 +210,7 @@ class TouchdownSequence:
 
     def sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go down at a constant speed, until the feet touch or something is wrong."""
-        seen = sight is not None and sight.unseen_s <= UNSEEN_S
-        if seen or not self._short_echoes.begun:  # else the feet may be down: no prediction takes them away
-            self.met = sight
+        seen = self._meet(sight, down=self._short_echoes.begun)
         unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
         silent = unfelt_s > FRESH_S
         if sight is not None and not silent and (slides := self._slides(sight)):
@@ -389,9 +394,7 @@ class TouchdownSequence:
 
     def set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go straight down, without the pad, until something solid is below."""
-        seen = sight is not None and sight.unseen_s <= UNSEEN_S
-        if seen or not (self._short_echoes.begun or self.contact.touching):
-            self.met = sight
+        self._meet(sight, down=self._short_echoes.begun or self.contact.touching)
         vehicle, landed, fresh = inputs.vehicle, inputs.autopilot.landed, imu_fresh(inputs.vehicle, now_s)
         self._levelling.stay(now_s)
         if vehicle is not None:
@@ -424,8 +427,7 @@ class TouchdownSequence:
     ) -> DetectedEvent | None:
         """Stay on the pad; `in_land`: the autopilot lands there."""
         self._stay_down(now_s)
-        if (sight is not None and sight.unseen_s <= UNSEEN_S) or self._standing.doubted:
-            self.met = sight
+        self._meet(sight, down=not self._standing.doubted)
         if why := self._leaves(sight, inputs, now_s, in_land=in_land):
             self._lift_off(sight, now_s)
             return MissionEvent.OFF_PAD, why
