@@ -130,6 +130,7 @@ class ControlTimer:
         self._frame.set()
 
     async def next_cycle(self) -> None:
+        """Wait until the next is to begin."""
         self._due_s += self.period_s
         earliest_s = self._due_s - EARLIEST * self.period_s
         latest_s = self._due_s + LATEST * self.period_s

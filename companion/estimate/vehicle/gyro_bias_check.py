@@ -41,9 +41,8 @@ WINDOW_S: Final = 0.75  # a step of 2 deg/s is found within a second (decision 4
 STRIDE_S: Final = 0.25  # from one window's start to the next's
 # what two windows differ by at most to agree, and from the present bias at least; each finds it to 0.3 deg/s
 STEP_RAD_S: Final = math.radians(0.7)
-WRONG_TIME_S: Final = (
-    0.05  # of the autopilot's reports, beside our samples: a turn makes that much of difference
-)
+# of the autopilot's reports, beside our samples: a turn makes that much of difference
+WRONG_TIME_S: Final = 0.05
 SKEW: Final = 0.02  # of a turn: how far the two IMUs may lie askew (rad), and differ in scale
 LEAST_SHARE: Final = 0.25  # of a window's change, in each of its strides
 
