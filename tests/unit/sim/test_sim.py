@@ -162,6 +162,16 @@ async def test_a_tick_that_comes_too_late_is_said_once(capsys: pytest.CaptureFix
     assert said[0].endswith(" s late: too busy a machine for real time")
 
 
+@pytest.mark.parametrize(("late_s", "stands_still_s"), [(0.9 * LATE_S, 0.0), (1.1 * LATE_S, 1.1 * LATE_S)])
+async def test_the_world_stands_still_only_where_that_is_said(late_s: float, stands_still_s: float) -> None:
+    # the clock of a simulated autopilot that jumps makes the app's attitude wrong, and no real one's does
+    timer = TickTimer(0.01)
+    begun_s = timer.start_s
+    for _ in range(3):
+        timer.keep_pace(late_s)
+    assert timer.start_s == pytest.approx(begun_s + 3 * stands_still_s, abs=1e-6)
+
+
 async def test_what_the_simulator_says_in_flight_is_passed_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
