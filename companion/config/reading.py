@@ -3,6 +3,7 @@
 import ast
 import copy
 import functools
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
@@ -122,8 +123,37 @@ def _described(kind: ast.ClassDef) -> Iterator[tuple[str, str]]:
                 yield name, " ".join(words.split())
 
 
-class _UniqueKeys(yaml.constructor.SafeConstructor):
-    """As YAML has it, a key may stand in a mapping once; the plain loader takes the last one silently."""
+_INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+# YAML 1.2's core schema, 10.3.2, without octal numbers
+_NUMBERS = {
+    _INT: re.compile(r"(?:[-+]?[0-9]+|0x[0-9a-fA-F]+)$"),
+    _FLOAT: re.compile(
+        r"(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
+    ),
+}
+_OTHERWISE_IN_1_1 = {_INT, _FLOAT, "tag:yaml.org,2002:bool", "tag:yaml.org,2002:timestamp"}
+
+
+def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
+    """What plain words may be, by their first letter."""
+    resolvers = {
+        first: [(tag, pattern) for tag, pattern in kinds if tag not in _OTHERWISE_IN_1_1]
+        for first, kinds in yaml.resolver.Resolver.yaml_implicit_resolvers.items()
+    }
+    for first in "-+.0123456789":
+        resolvers[first] = [*resolvers.get(first, []), *_NUMBERS.items()]
+    return resolvers
+
+
+class _PlainYaml(yaml.constructor.SafeConstructor):
+    """Stricter than PyYAML's.
+
+    As YAML has it, a key may stand in a mapping once; the plain loader takes the last one silently. Plain
+    words are what they say, as in YAML 1.2: PyYAML's "on" and "yes" would be 1 where a number is expected,
+    "010" 8 and "1:05" 65. True and false are words too: a setting that is one or the other reads them.
+    """
+
+    yaml_implicit_resolvers = _resolvers()
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         met = set()
@@ -138,12 +168,20 @@ class _UniqueKeys(yaml.constructor.SafeConstructor):
         return super().construct_mapping(node, deep)
 
 
-class _Loader(_UniqueKeys, yaml.SafeLoader):
+def _integer(_: Any, node: yaml.ScalarNode) -> int:
+    return int(node.value, 16 if "x" in node.value else 10)
+
+
+class _Loader(_PlainYaml, yaml.SafeLoader):
     """PyYAML's own: it words what is wrong."""
 
 
-class _QuickLoader(_UniqueKeys, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+class _QuickLoader(_PlainYaml, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     """By libyaml where PyYAML was built with it: the same values in a seventh of the time."""
+
+
+_Loader.add_constructor(_INT, _integer)
+_QuickLoader.add_constructor(_INT, _integer)
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -174,7 +212,7 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
         where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not readable"
         raise ConfigError(f"{path}{where}: broken YAML: {problem}") from error
-    except ValueError as error:  # a date that there is not
+    except ValueError as error:  # a number of thousands of digits
         raise ConfigError(f"{path}: broken YAML: {error}") from error
     if data is None:
         return {}  # empty, or all of it is commented out

@@ -152,7 +152,10 @@ def test_every_shipped_settings_file_loads() -> None:
         ("pad: a\npad: b\n", ":2:1: broken YAML: 'pad' stands here twice"),
         (f"pad: [{'x' * 500}]\n", f"pad: expected a valid string, found ['{'x' * 78}..."),
         ("? [a, b]\n: 1\n", "broken YAML: found unhashable key"),
-        ("pad: 2020-13-45\n", "broken YAML: month must be in 1..12"),
+        (f"pad: {'9' * 5000}\n", "broken YAML: Exceeds the limit"),
+        ("orders: {rc_channel: on}\n", "orders.rc_channel: expected a valid integer, found 'on'"),
+        ("link: {heartbeat_timeout_s: true}\n", "expected a valid number, found 'true'"),
+        ("link: {heartbeat_timeout_s: 1:05}\n", "expected a valid number, found '1:05'"),
         ("sense: {source: boards}\nplan: {}\nsense: {source: autopilot}\n", "'sense' stands here twice"),
         ("estimate: {magnetic_field_ned_ut: [20900, 600, 42900]}\n", "expected a size of 15 to 100 µT"),
         ("sense: {range: {minimum_m: 0.5, maximum_m: 0.5}}\n", "expected more than minimum_m"),
@@ -175,6 +178,16 @@ def test_what_would_fly_otherwise_than_meant_is_refused(tmp_path: Path, text: st
     with pytest.raises(ConfigError) as caught:
         load_config(path)
     assert expected in str(caught.value)
+
+
+def test_plain_words_are_what_they_say(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "orders: {rc_channel: 010, mavlink: no}\nplan: {mission: {may_arm: yes, take_off_height_m: 6e0}}\n"
+    )
+    settings = load_config(path)
+    assert (settings.orders.rc_channel, settings.orders.mavlink) == (10, False)
+    assert (settings.plan.mission.may_arm, settings.plan.mission.take_off_height_m) == (True, 6.0)
 
 
 def test_a_list_that_is_too_long_is_reported_in_plain_words(tmp_path: Path) -> None:
