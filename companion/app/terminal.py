@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from queue import SimpleQueue
 from types import TracebackType
 from typing import Final
 
@@ -20,6 +22,7 @@ from companion.base.messages import MarkerGroup, Notice
 
 NOTICES_SHOWN: Final = 8
 CELLS_A_ROW: Final = 4
+LAST_WORDS_S: Final = 1.0  # no longer does the end wait for a terminal that is stopped
 SEVERITY_STYLES: Final = {"info": "", "warning": "yellow", "error": "bold red"}
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 
@@ -27,7 +30,9 @@ GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 class StatusView:
     """Shows the app's status; on a terminal as a live panel, elsewhere as one line a notice.
 
-    A terminal or pipe that goes away is written to no more: a flight does not end for want of a reader.
+    A thread of its own writes, the newest status and every notice: a terminal that is stopped (Ctrl-S, an ssh
+    that stalls) would hold up the control loop. One that goes away is written to no more: a flight does not
+    end for want of a reader.
     """
 
     def __init__(self, console: Console, title: str, *, live: bool) -> None:
@@ -36,23 +41,34 @@ class StatusView:
         self._notices: deque[Notice] = deque(maxlen=NOTICES_SHOWN)
         self._live = Live(console=console, auto_refresh=False) if live and console.is_terminal else None
         self._read = True
+        self._waiting: SimpleQueue[Status | None] = SimpleQueue()
+        self._writer = threading.Thread(target=self._write, name="terminal", daemon=True)
 
     def __enter__(self) -> StatusView:
-        if self._live is not None:
-            self._live.start()
+        self._writer.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._waiting.put(None)
+        self._writer.join(LAST_WORDS_S)
+
+    def __call__(self, status: Status) -> None:
+        if self._live is not None or status.notices:
+            self._waiting.put(status)
+
+    def _write(self) -> None:
+        if self._live is not None:
+            with self._whoever_reads():
+                self._live.start()
+        while (status := self._waiting.get()) is not None:
+            if self._read:
+                with self._whoever_reads():
+                    self._show(status)
         if self._live is not None:
             with self._whoever_reads():
                 self._live.stop()
-
-    def __call__(self, status: Status) -> None:
-        if self._read:
-            with self._whoever_reads():
-                self._show(status)
 
     @contextmanager
     def _whoever_reads(self) -> Iterator[None]:
@@ -72,7 +88,7 @@ class StatusView:
             if self._live is None:
                 self._console.print(_notice_line(notice), highlight=False, soft_wrap=True)
         if self._live is not None:
-            self._live.update(self._panel(status), refresh=True)
+            self._live.update(self._panel(status), refresh=self._waiting.empty())
 
     def _panel(self, status: Status) -> Panel:
         lines: list[RenderableType] = [status_table(status)]

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -344,6 +345,35 @@ def test_where_there_is_no_terminal_each_notice_is_one_line() -> None:
 def test_no_ui_prints_notices_on_a_terminal_too() -> None:
     text = shown(status(PAD, Notice(3.0, "phase", "arm", "info")), terminal=True, live=False)
     assert text.strip() == "3.0 s  arm"
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_terminal_that_is_stopped_holds_up_nobody(live: bool) -> None:
+    passed, goes_on = threading.Semaphore(0), threading.Event()
+
+    class Stopped(io.StringIO):
+        def write(self, text: str) -> int:
+            assert goes_on.wait(60.0)
+            return super().write(text)
+
+    screen = Stopped()
+    console = Console(file=screen, force_terminal=True, width=140, color_system=None)
+
+    def fly() -> None:
+        with StatusView(console, "circle, seed 1", live=live) as view:
+            for number in range(20):
+                view(status(PAD, Notice(float(number), "phase", f"notice {number}.", "info")))
+            passed.release()
+            goes_on.wait(60.0)
+
+    flight = threading.Thread(target=fly, daemon=True)
+    flight.start()
+    in_time = passed.acquire(timeout=30.0)
+    goes_on.set()
+    flight.join(30.0)
+    assert in_time
+    assert "notice 19." in screen.getvalue()
+    assert live or all(f"notice {number}." in screen.getvalue() for number in range(20))
 
 
 class Gone(io.StringIO):
