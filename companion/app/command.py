@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -182,8 +183,12 @@ async def _tell_ground(
 
 
 def _make_room(record: Path | None, config: CompanionConfig) -> None:
-    if record is not None and record.is_dir():
-        make_room(record, int(1e6 * config.record.total_mb), int(1e6 * config.record.free_mb))
+    """Remove the oldest flights. Tidying decides no start: a card that is damaged ends in a line."""
+    try:
+        if record is not None and record.is_dir():
+            make_room(record, int(1e6 * config.record.total_mb), int(1e6 * config.record.free_mb))
+    except OSError as error:
+        print(f"companion: {record}: no old flight removed: {error}", file=sys.stderr)
 
 
 def new_log(folder: Path | None, *, virtual: bool, keeps: bool = True) -> FlightLog:

@@ -42,12 +42,12 @@ def recorded_flights(root: Path) -> list[Path]:
 
 
 def size_bytes(folder: Path) -> int:
-    """What the files of a folder hold; one that is gone meanwhile holds nothing."""
+    """What the files of a folder hold; one that has gone, or cannot be read any more, holds nothing."""
     total = 0
     for path in folder.rglob("*"):
         try:
             total += path.stat().st_size if path.is_file() else 0
-        except FileNotFoundError:
+        except OSError:
             continue
     return total
 

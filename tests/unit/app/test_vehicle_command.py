@@ -1,6 +1,7 @@
 """A flight of the real vehicle as a command: what it keeps."""
 
 import asyncio
+import errno
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import pytest
 
 from companion.app import command
-from companion.app.command import Output, fly_the_vehicle
+from companion.app.command import Output, fly_the_vehicle, stand_by
 from companion.app.service.state_report import StateReport
 from companion.base.messages import Notice, Phase
 from companion.config import ConfigError
@@ -33,6 +34,24 @@ def test_a_flight_on_board_fills_no_memory_with_what_only_a_score_reads(
     assert fly_the_vehicle(settings, Output(tmp_path / "flights", None, live=False)) == 0
     assert dict(logs[0].kept) == {}
     assert (tmp_path / "flights" / "flight-0001" / "flight.mcap").stat().st_size > 0
+
+
+def test_a_damaged_card_keeps_no_service_from_starting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def service(*_: object) -> int:
+        return 0
+
+    def damaged(*_: object) -> None:
+        raise OSError(errno.EUCLEAN, "Structure needs cleaning")
+
+    monkeypatch.setattr(command, "_service", service)
+    monkeypatch.setattr(command, "make_room", damaged)
+    settings = tmp_path / "settings.yaml"
+    settings.write_text("{}\n", encoding="utf-8")
+    assert stand_by(settings, Output(tmp_path, None, live=False)) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert [line for line in said if "no old flight removed: [Errno 117] Structure needs cleaning" in line]
 
 
 async def test_who_asks_by_the_link_is_told_how_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 import base64
 import errno
 import json
+import os
 import shutil
 import threading
 import zipfile
@@ -281,6 +282,21 @@ def test_a_flight_that_cannot_be_removed_is_passed_over(
 
     monkeypatch.setattr(Path, "rename", refused)
     assert make_room(tmp_path, 2000, 0) == flights[1:3]
+
+
+def test_a_file_that_cannot_be_read_any_more_counts_for_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flights = filled(tmp_path, range(1, 5), 1000)
+    stat = Path.stat
+
+    def damaged(self: Path, **given: bool) -> os.stat_result:
+        if self.parent == flights[0]:
+            raise OSError(errno.EUCLEAN, "Structure needs cleaning")
+        return stat(self, **given)
+
+    monkeypatch.setattr(Path, "stat", damaged)
+    assert make_room(tmp_path, 2000, 0) == flights[:2]
 
 
 def test_a_removal_that_was_cut_short_is_ended_by_the_next(tmp_path: Path) -> None:
