@@ -15,7 +15,7 @@ from rich.text import Text
 
 from companion.app.service.local_socket import listening_elsewhere, where_to_ask
 from companion.app.service.systemd import SERVICE, service_state
-from companion.base.clock import sleep_s
+from companion.base.clock import sleep_s, up_s
 from companion.base.errors import ConfigError
 from companion.base.messages import OrderKind, OrderOutcome
 from companion.base.second_sources import SourceState
@@ -97,7 +97,7 @@ def order_command(
     path: SocketOption = None,
 ) -> None:
     with _connected(path) as ask:
-        answer = ask({"request": "order", "kind": kind.value})
+        answer = ask({"request": "order", "kind": kind.value, "until_s": up_s() + ANSWER_S})
         _say(kind, answer)
         if wait and answer["outcome"] == OrderOutcome.IN_PROGRESS:
             answer = ask(None)

@@ -1,20 +1,25 @@
 """The service's local socket, for `companion status` and `order`: JSON requests and answers, one a line.
 
     {"request": "status"}                 -> a StateReport
-    {"request": "order", "kind": "land"}  -> {"outcome": "in_progress", "text": ""}, later how it ended
+    {"request": "order", "kind": "land"}  -> {"kind": "land", "outcome": "in_progress", "text": ""}, later how
+                                             it ended
+
+What comes meanwhile is read at once: no order waits for the end of another. One with "until_s" (since the
+machine's boot) is refused later than that: whoever gave it has been told that nobody answers.
 
 A socket of the file system, for the owner and the group alone: who may give orders is who may open it.
 """
 
 import asyncio
 import json
+import math
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from companion.base.clock import Clock
+from companion.base.clock import Clock, up_s
 from companion.base.errors import ConfigError
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
 
@@ -64,8 +69,12 @@ async def served(
     """
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with suppress(OSError, ValueError, asyncio.IncompleteReadError):
-            await _serve(reader, writer, report, give, clock)
+        with suppress(asyncio.CancelledError):  # asyncio would log it, when the service ends
+            try:
+                async with asyncio.TaskGroup() as answering:
+                    await _serve(reader, writer, report, give, clock, answering)
+            except* (OSError, ValueError, asyncio.IncompleteReadError):
+                pass  # it has gone, or what it sends has no end
         writer.close()
 
     try:
@@ -107,17 +116,21 @@ async def _serve(
     report: Callable[[], Awaitable[str]],
     give: Give,
     clock: Clock,
+    answering: asyncio.TaskGroup,
 ) -> None:
     while line := await reader.readline():
         try:
             request = json.loads(line)
             wanted = request["request"]
             kind = OrderKind(request["kind"]) if wanted == "order" else None
-        except (ValueError, KeyError, TypeError):
+            late = up_s() > float(request.get("until_s", math.inf))
+        except (ValueError, KeyError, TypeError, AttributeError):
             writer.write(b'{"error": "expected a request: status, or order with its kind"}\n')
             continue
-        if kind is not None:
-            await _order(writer, kind, give, clock)
+        if kind is not None and late:
+            _answer(writer, kind, OrderOutcome.TEMPORARILY_REJECTED, "it came too late")
+        elif kind is not None:
+            answering.create_task(_order(writer, kind, give, clock))
         elif wanted == "status":
             writer.write((await report()).encode() + b"\n")
         else:
@@ -131,8 +144,12 @@ async def _order(writer: asyncio.StreamWriter, kind: OrderKind, give: Give, cloc
     give(Order(clock.now_s(), kind, "the local socket"), replies.put_nowait)
     while True:
         reply = await replies.get()
-        answer = {"outcome": reply.outcome.value, "text": reply.text}
-        writer.write(json.dumps(answer).encode() + b"\n")
+        _answer(writer, kind, reply.outcome, reply.text)
         await writer.drain()
         if reply.outcome is not OrderOutcome.IN_PROGRESS:
             return
+
+
+def _answer(writer: asyncio.StreamWriter, kind: OrderKind, outcome: OrderOutcome, text: str) -> None:
+    answer = {"kind": kind.value, "outcome": outcome.value, "text": text}
+    writer.write(json.dumps(answer).encode() + b"\n")

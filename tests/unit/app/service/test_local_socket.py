@@ -20,7 +20,7 @@ from companion.app.service import commands, local_socket
 from companion.app.service.commands import order_command, status_command
 from companion.app.service.local_socket import served
 from companion.app.service.systemd import ServiceState
-from companion.base.clock import Clock
+from companion.base.clock import Clock, up_s
 from companion.base.errors import ConfigError
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
 
@@ -113,6 +113,28 @@ async def test_it_answers_requests_and_says_what_it_expected(tmp_path: Path) -> 
         assert await ask(path, b'{"request": "status"}\n') == [REPORT]
     assert [(o.kind, o.source) for o in service.orders] == [(OrderKind.LAND, "the local socket")]
     assert not path.exists()
+
+
+async def test_no_order_waits_for_the_end_of_another(tmp_path: Path) -> None:
+    service, path = SocketService(OrderOutcome.IN_PROGRESS), tmp_path / "socket"
+    async with running(service, path):
+        _, writer = await asyncio.open_unix_connection(path)
+        writer.write(b'{"request": "order", "kind": "land"}\n{"request": "order", "kind": "stop"}\n')
+        async with asyncio.timeout(20.0):
+            while len(service.orders) < 2:  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+        writer.close()
+    assert [order.kind for order in service.orders] == [OrderKind.LAND, OrderKind.STOP]
+
+
+async def test_an_order_is_not_followed_once_nobody_waits_for_its_answer(tmp_path: Path) -> None:
+    service, path = SocketService(OrderOutcome.ACCEPTED), tmp_path / "socket"
+    async with running(service, path):
+        for until_s, outcome in ((up_s() - 0.1, "temporarily_rejected"), (up_s() + 60.0, "accepted")):
+            request = {"request": "order", "kind": "land", "until_s": until_s}
+            (answer,) = await ask(path, json.dumps(request).encode() + b"\n")
+            assert answer["outcome"] == outcome
+    assert len(service.orders) == 1
 
 
 async def test_a_second_service_is_refused_and_a_socket_left_behind_is_replaced(tmp_path: Path) -> None:
