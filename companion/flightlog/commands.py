@@ -4,7 +4,6 @@ What does the work, and takes long to import, is imported once the files are see
 """
 # ruff: noqa: PLC0415 - see above
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -32,15 +31,10 @@ SERVICE_FLIGHTS: Final = Path("/var/lib/companion")
 FLIGHTS: Final = Path("flights")
 
 
-class LogsAction(StrEnum):
-    LIST = "list"
-    EXPORT = "export"
-    REPAIR = "repair"
-    CONVERT = "convert"
-
-
 def logs_command(
-    action: Annotated[LogsAction, typer.Argument(help="What to do.")] = LogsAction.LIST,
+    action: Annotated[
+        Literal["list", "export", "repair", "convert"], typer.Argument(help="What to do.")
+    ] = "list",
     flight: Annotated[
         str | None,
         typer.Argument(
@@ -66,24 +60,23 @@ def logs_command(
     ] = "csv",
 ) -> None:
     root = record or flights_folder()
-    if action is LogsAction.LIST and (flight is not None or output is not None):
+    if action == "list" and (flight is not None or output is not None):
         raise ConfigError("logs list: lists all flights; expected no FLIGHT and no --output")
-    if action is not LogsAction.LIST and flight is None:
+    if action != "list" and flight is None:
         raise ConfigError(f"logs {action}: which one? Expected a FLIGHT: a number of the list, or a path")
     chosen = root if flight is None else find_flight(root, flight, chosen=record is not None)
-    if action is LogsAction.EXPORT:
+    if action == "export":
         must_be_readable(chosen / LOG_NAMES[0], "the folder of a flight")
     elif flight is not None:
         chosen = find_log(chosen)
     from companion.flightlog import logs
-    from companion.flightlog.tables import TableFormat
 
     if flight is None:
         logs.list_flights(root)
-    elif action is LogsAction.EXPORT:
+    elif action == "export":
         logs.export(chosen, output)
-    elif action is LogsAction.CONVERT:
-        logs.convert_log(chosen, output, TableFormat(form))
+    elif action == "convert":
+        logs.convert_log(chosen, output, form)
     else:
         logs.repair(chosen, output)
 

@@ -64,6 +64,7 @@ KEPT_TOPICS: Final = frozenset(
 EXPLAINING: Final = frozenset(
     {"notice", "plan", "action", "action_result", "vehicle", "pad", "control_report"}
 )
+FRAME_PERIOD_S: Final = 0.2  # of the camera's frames on disk
 # a process that is killed, or a Raspberry Pi without power, loses no more than this
 FLUSHED_S: Final = 0.5
 # a flush ends a chunk before that; each leaves an index in memory until the log ends
@@ -98,7 +99,6 @@ class FlightLog:
         self,
         folder: Path | None,
         start_unix_s: float,
-        frame_rate_hz: float = 5.0,
         *,
         virtual: bool = False,
         keeps: bool = True,
@@ -108,7 +108,6 @@ class FlightLog:
         Args:
             folder: where to leave flight.mcap and flight.tlog; None keeps nothing on disk.
             start_unix_s: seconds since 1970 at loop time 0.
-            frame_rate_hz: how many of the camera's frames go to disk a second.
             virtual: in virtual time; the flight waits for the disk, and nothing is written through.
             keeps: whether `kept` collects what the score reads.
 
@@ -116,8 +115,7 @@ class FlightLog:
             ConfigError: the folder cannot be made or written.
         """
         self.kept: defaultdict[str, list[Any]] = defaultdict(list)
-        self._start_unix_s, self._keeps = start_unix_s, keeps
-        self._frame_period_s = 1.0 / frame_rate_hz
+        self._keeps = keeps
         self._next_frame_s = float("-inf")
         self.folder = folder
         self._made_folder = folder is not None and not folder.exists()
@@ -135,7 +133,7 @@ class FlightLog:
                     f"--record {folder}: cannot be written: {error.strerror}; expected a folder"
                 ) from error
             self._disk = DiskWriter(waits=virtual)
-            self._files = _Files(self._disk, mcap, tlog, folder)
+            self._files = _Files(self._disk, mcap, tlog, folder, start_unix_s)
 
     @property
     def problem(self) -> str | None:
@@ -148,8 +146,7 @@ class FlightLog:
         if self._keeps and topic in KEPT_TOPICS:
             self.kept[topic].append(message)
         if (files := self._files) is not None:
-            bulky = topic not in EXPLAINING
-            files.disk.put(files.mcap.write, topic, message, self._unix_ns(time_s), bulky=bulky)
+            files.disk.put(files.write, topic, message, time_s, bulky=topic not in EXPLAINING)
 
     def write_settings(self, **settings: BaseModel) -> None:
         """Log the settings that the app flies with, and our versions: with them a flight can be replayed.
@@ -168,14 +165,13 @@ class FlightLog:
         self.tap.frame(frame)
         if (files := self._files) is None or time_s < self._next_frame_s:
             return
-        self._next_frame_s = time_s + self._frame_period_s
-        arguments = frame, self._unix_ns(frame.time_s), self._unix_ns(time_s)
-        files.disk.put(files.mcap.write_image, *arguments, bulky=True, size_bytes=frame.image.nbytes)
+        self._next_frame_s = time_s + FRAME_PERIOD_S
+        files.disk.put(files.write_frame, frame, time_s, bulky=True, size_bytes=frame.image.nbytes)
 
     def write_mavlink(self, data: bytes, time_s: float, direction: Literal["in", "out"]) -> None:
         """Log MAVLink bytes as they came or went; a packet cut by a read is joined with its rest."""
         if (files := self._files) is not None:
-            files.disk.put(files.tlog.write, data, self._unix_ns(time_s) // 1000, direction, bulky=True)
+            files.disk.put(files.write_mavlink, data, time_s, direction, bulky=True)
 
     def write_before(self, record: Callable[[], SettingsRecord], calls: deque[BufferedCall]) -> None:
         """Log what happened before the log began, under its settings; `calls` is emptied.
@@ -185,23 +181,7 @@ class FlightLog:
         """
         self._put_settings(record)
         if (files := self._files) is not None:
-            files.disk.put(self._write_all, files, calls)
-
-    def _write_all(self, files: _Files, calls: deque[BufferedCall]) -> None:
-        files.pause_flushing()
-        while calls:
-            _, method, arguments = calls.popleft()
-            if method == "write":
-                topic, message, time_s = arguments
-                files.mcap.write(topic, message, self._unix_ns(time_s))
-            elif method == "write_frame":
-                frame, time_s = arguments
-                files.mcap.write_image(frame, self._unix_ns(frame.time_s), self._unix_ns(time_s))
-            else:
-                data, time_s, direction = arguments
-                files.tlog.write(data, self._unix_ns(time_s) // 1000, direction)
-            files.disk.rest()
-        files.flush()
+            files.disk.put(files.write_all, calls)
 
     def close(self, *, wait: bool = True) -> None:
         """Finish the files, without waiting for the disk if so wished; the log takes nothing after that."""
@@ -222,9 +202,6 @@ class FlightLog:
                 (self.folder / name).unlink(missing_ok=True)
             if self._made_folder:
                 self.folder.rmdir()
-
-    def _unix_ns(self, time_s: float) -> int:
-        return int((self._start_unix_s + time_s) * 1e9)
 
 
 class _FlushDue:
@@ -329,16 +306,30 @@ class _Files:
     mcap: _McapFile
     tlog: _TlogFile
     folder: Path
+    start_unix_s: float
 
-    def pause_flushing(self) -> None:
-        """Nothing is written through to the card until `flush`."""
+    def write(self, topic: str, message: Any, time_s: float) -> None:
+        self.mcap.write(topic, message, self._unix_ns(time_s))
+
+    def write_frame(self, frame: Frame, time_s: float) -> None:
+        self.mcap.write_image(frame, self._unix_ns(frame.time_s), self._unix_ns(time_s))
+
+    def write_mavlink(self, data: bytes, time_s: float, direction: Literal["in", "out"]) -> None:
+        self.tlog.write(data, self._unix_ns(time_s) // 1000, direction)
+
+    def write_all(self, calls: deque[BufferedCall]) -> None:
+        """Empty `calls`; nothing is written through to the card meanwhile, and all of it at the end."""
         self.mcap.flush_due.paused = self.tlog.flush_due.paused = True
-
-    def flush(self) -> None:
-        """Write through to the card, and when it is due from now on."""
+        while calls:
+            _, method, arguments = calls.popleft()
+            getattr(self, method)(*arguments)
+            self.disk.rest()
         self.mcap.flush()
         self.tlog.flush()
         self.mcap.flush_due.paused = self.tlog.flush_due.paused = False
+
+    def _unix_ns(self, time_s: float) -> int:
+        return int((self.start_unix_s + time_s) * 1e9)
 
     def write_losses(self) -> None:
         """How much is missing, if anything is."""

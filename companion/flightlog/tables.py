@@ -7,9 +7,8 @@ fixed length (a reference's rows, a scene) stands as JSON in one column. Picture
 import csv
 import json
 from collections.abc import Iterator
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from companion.base.files import replaced
 from companion.config import ConfigError
@@ -20,11 +19,7 @@ IMAGE_SCHEMA: Final = "foxglove.CompressedImage"
 # an array that is longer stays JSON, as does one whose length changes
 LONGEST_SPREAD: Final = 16
 Row = dict[str, Any]
-
-
-class TableFormat(StrEnum):
-    CSV = "csv"
-    PARQUET = "parquet"
+TableFormat = Literal["csv", "parquet"]
 
 
 def convert(source: Path, folder: Path, form: TableFormat) -> dict[str, int]:
@@ -73,9 +68,9 @@ def _flat(value: Any, schema: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 
 def _write(folder: Path, topic: str, rows: list[Row], form: TableFormat) -> str:
-    path = folder / f"{topic.replace('/', '_')}.{form.value}"
+    path = folder / f"{topic.replace('/', '_')}.{form}"
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    if form is TableFormat.CSV:
+    if form == "csv":
         with replaced(path) as part, part.open("w", encoding="utf-8", newline="") as stream:
             writer = csv.DictWriter(stream, columns)
             writer.writeheader()

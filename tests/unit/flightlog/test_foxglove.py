@@ -48,7 +48,7 @@ from companion.flightlog.foxglove.parts import ENU_FROM_NED
 from companion.flightlog.foxglove.schemas import SCHEMAS
 from companion.flightlog.foxglove.translator import Translator
 from companion.flightlog.record import FlightLog
-from companion.flightlog.tables import TableFormat, convert
+from companion.flightlog.tables import convert
 from companion.pad import load_pad
 from tests.unit.flightlog.test_result import pad_at, vehicle_at
 
@@ -375,5 +375,5 @@ def test_a_full_disk_leaves_no_half_of_a_table(
 
     monkeypatch.setattr(csv.DictWriter, "writerows", full)
     with pytest.raises(ConfigError, match="tables: cannot be written: No space left"):
-        convert(log, tmp_path / "tables", TableFormat.CSV)
+        convert(log, tmp_path / "tables", "csv")
     assert list((tmp_path / "tables").iterdir()) == []
