@@ -94,12 +94,7 @@ def paired(mags: list[MagSample], imus: list[ImuSample]) -> tuple[FloatArray, Fl
     order = np.argsort(times, kind="stable")
     times, forces = times[order], np.array([imu.specific_force_body_m_s2 for imu in imus])[order]
     wanted = np.array([mag.time_s for mag in mags])
-    after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
-    nearest = np.where(
-        np.abs(times[after - 1] - wanted) <= np.abs(times[np.minimum(after, len(times) - 1)] - wanted),
-        after - 1,
-        np.minimum(after, len(times) - 1),
-    )
+    nearest = np.searchsorted(0.5 * (times[1:] + times[:-1]), wanted)
     force = forces[nearest]
     force[np.abs(times[nearest] - wanted) > _PAIRED_S] = np.nan
     return raw, force

@@ -15,7 +15,7 @@ import typer
 from calibration.command_line import RefusedError, listed, today
 from calibration.mount import FACES
 from calibration.mount.record_motion import SensorOpener, connected_sensors, new_log, read_imu, until_done
-from calibration.mount.recording import ImuSamples, inertial_of
+from calibration.mount.recording import inertial_of
 from calibration.mount.result import judge, provenance, write_file
 from calibration.mount.six_faces import (
     AccelerometerFit,
@@ -172,9 +172,7 @@ def _collected(job: ImuJob, live: Callable[..., Coroutine[Any, Any, StaticRecord
             f"{file}: its samples were calibrated by {imu.inertial_calibration}; expected a recording "
             "without sense.imu.inertial_calibration"
         )
-    body = inertial_of(record, file)
-    turn = mounting_matrix(imu.body_from_sensor_deg)
-    samples = ImuSamples(body.time_s, body.rate @ turn, body.force @ turn, body.temperature_c)
+    samples = inertial_of(record, file).turned(mounting_matrix(imu.body_from_sensor_deg))
     return StaticRecording(find_static_intervals(samples), str(log), imu)
 
 

@@ -282,11 +282,6 @@ def log(matrices: FloatArray) -> FloatArray:
     return np.asarray(across * factor[..., None])
 
 
-def transposed(matrices: FloatArray) -> FloatArray:
-    """The inverses of rotation matrices (..., 3, 3)."""
-    return np.swapaxes(matrices, -1, -2)
-
-
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
     """The rotation (3, 3) that maximises trace(R' matrix) (Kabsch; Umeyama's sign)."""
     u, _, vt = np.linalg.svd(matrix)

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calibration.mount.model import GYRO_BIAS, log, transposed
+from calibration.mount.model import GYRO_BIAS, log
 from calibration.mount.recording import ImuSamples, PadObservations
 from calibration.mount.solver import MountSolution
 from companion.base.files import make_folder, save_figure
@@ -34,10 +34,10 @@ def write_mount_plots(
 
 def camera_rates(sightings: PadObservations, body_from_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Times (k,) and rates (k, 3) in body axes by which the camera saw itself turn."""
-    turned = transposed(sightings.camera_from_pad)
+    turned = sightings.camera_from_pad.mT
     span = np.diff(sightings.time_s)
     near = (span > 0.0) & (span < 0.3)
-    step = log(transposed(turned[:-1]) @ turned[1:])[near] / span[near, None]
+    step = log(turned[:-1].mT @ turned[1:])[near] / span[near, None]
     return (sightings.time_s[:-1] + 0.5 * span)[near], step @ body_from_camera.T
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -117,15 +117,7 @@ def inertial_of(record: FlightRecord, file: Path) -> ImuSamples:
     samples = [event.item for event in record.events if isinstance(event.item, ImuSample)]
     if len(samples) < 100:
         raise ConfigError(f"{file}: {len(samples)} inertial samples; expected those of some seconds at least")
-    rows = np.array(
-        [
-            (s.time_s, *s.rate_body_rad_s, *s.specific_force_body_m_s2, s.temperature_c)
-            for s in sorted(samples, key=lambda s: s.time_s)
-        ]
-    )
-    rows = rows[np.isfinite(rows[:, :7]).all(axis=1)]
-    rows = rows[np.concatenate(([True], np.diff(rows[:, 0]) > 0.0))]
-    return ImuSamples(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 7])
+    return ImuSamples.of(usable(rows_of(sorted(samples, key=lambda s: s.time_s))))
 
 
 def with_forces_in_time(inertial: ImuSamples) -> ImuSamples:
@@ -227,6 +219,15 @@ class ImuSamples:
     force: FloatArray
     temperature_c: FloatArray
 
+    @classmethod
+    def of(cls, rows: FloatArray) -> ImuSamples:
+        """By rows (n, 8) in that order."""
+        return cls(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 7])
+
+    def turned(self, matrix: FloatArray) -> ImuSamples:
+        """From body into sensor axes, by `matrix` (3, 3), which turns the other way."""
+        return replace(self, rate=self.rate @ matrix, force=self.force @ matrix)
+
     @property
     def period_s(self) -> float:
         """The usual time from one sample to the next."""
@@ -236,6 +237,19 @@ class ImuSamples:
         """Segments (k, 2) without samples, from and to (s)."""
         wide = np.flatnonzero(np.diff(self.time_s) > LONGEST_IMU_GAP_S)
         return np.column_stack((self.time_s[wide], self.time_s[wide + 1]))
+
+
+def rows_of(samples: Iterable[ImuSample]) -> FloatArray:
+    """Samples as rows (n, 8): time, rate, specific force, temperature."""
+    return np.array(
+        [(s.time_s, *s.rate_body_rad_s, *s.specific_force_body_m_s2, s.temperature_c) for s in samples]
+    ).reshape(-1, 8)
+
+
+def usable(rows: FloatArray) -> FloatArray:
+    """Those of rows (n, 7 or more) whose time, rate and force are numbers, each later than the one before."""
+    rows = rows[np.isfinite(rows[:, :7]).all(axis=1)]
+    return rows[np.diff(rows[:, 0], prepend=-np.inf) > 0.0]
 
 
 @dataclass(frozen=True, slots=True)

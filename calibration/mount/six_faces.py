@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calibration.mount import FACES
-from calibration.mount.recording import ImuSamples, Indices
+from calibration.mount.recording import ImuSamples, Indices, rows_of
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, euler_from_quat, quat_from_matrix
 from companion.base.messages import ImuSample
 
@@ -270,16 +270,14 @@ class ImuBuffer:
 
     def __init__(self, body_from_sensor: FloatArray) -> None:
         self._turn = body_from_sensor
-        self._rows: list[tuple[float, ...]] = []
+        self._samples: list[ImuSample] = []
 
     def add(self, sample: ImuSample) -> None:
-        self._rows.append(
-            (sample.time_s, *sample.rate_body_rad_s, *sample.specific_force_body_m_s2, sample.temperature_c)
-        )
+        self._samples.append(sample)
 
     def since(self, time_s: float) -> ImuSamples:
-        rows = np.array([row for row in self._rows if row[0] >= time_s]).reshape(-1, 8)
-        return ImuSamples(rows[:, 0], rows[:, 1:4] @ self._turn, rows[:, 4:7] @ self._turn, rows[:, 7])
+        samples = ImuSamples.of(rows_of(s for s in self._samples if s.time_s >= time_s))
+        return samples.turned(self._turn)
 
 
 class FaceGuide:

@@ -38,7 +38,6 @@ from calibration.mount.model import (
     log,
     nearest_rotation,
     split_into_segments,
-    transposed,
 )
 from calibration.mount.recording import ImuSamples, Indices, Mask, PadObservations
 from companion.base.geometry import FloatArray
@@ -183,15 +182,15 @@ def _initial_starts(problem: MountLeastSquares, unknowns: Unknowns) -> SegmentSt
     since = problem.since_s(unknowns)
     moment = at_times(problem.segments, attitude, motion, problem.which, since)
     seen = problem.sightings
-    pad_from_body = transposed(seen.camera_from_pad) @ unknowns.body_from_camera.T
-    first = pad_from_body @ transposed(moment.rotation)
+    pad_from_body = seen.camera_from_pad.mT @ unknowns.body_from_camera.T
+    first = pad_from_body @ moment.rotation.mT
     lever = unknowns.values[POSITION]
     in_body = seen.position_m @ unknowns.body_from_camera.T + lever
     place = -(pad_from_body @ in_body[..., None])[..., 0]
     starts = SegmentStarts(np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3)))
     for k in range(count):
         own = problem.which == k
-        apart = np.linalg.norm(log(transposed(first[own])[:, None] @ first[own][None]), axis=-1)
+        apart = np.linalg.norm(log(first[own].mT[:, None] @ first[own][None]), axis=-1)
         middle = int(np.argmin(np.minimum(apart, 0.5).sum(axis=1)))
         agree = apart[middle] < START_RAD
         start = first[own][middle]
@@ -414,7 +413,7 @@ class MountLeastSquares:
         speed = speed + (start @ moment.velocity[..., None])[..., 0]
         pad_from_camera = start @ moment.rotation @ unknowns.body_from_camera
         lever = unknowns.body_from_camera.T @ unknowns.values[POSITION]
-        predicted = -(transposed(pad_from_camera) @ place[..., None])[..., 0] - lever
+        predicted = -(pad_from_camera.mT @ place[..., None])[..., 0] - lever
         closing = np.einsum("ki,ki->k", pad_from_camera[..., 2], speed) / self.sightings.position_m[:, 2]
         roll = moment.rate @ unknowns.body_from_camera[:, 2]
         turned = log(self.sightings.camera_from_pad @ pad_from_camera) - unknowns.shutter_turn(closing, roll)
@@ -498,9 +497,9 @@ def correlate(inertial: ImuSamples, sightings: PadObservations) -> CoarseAlignme
     first, second = _pairs(sightings.time_s)
     if len(first) < 3:
         raise ValueError("no sightings that follow one another")
-    turned = transposed(sightings.camera_from_pad)
+    turned = sightings.camera_from_pad.mT
     # camera axes at the first, from camera axes at the second
-    camera = log(transposed(turned[first]) @ turned[second])
+    camera = log(turned[first].mT @ turned[second])
     # the integral of the rate (rad, each axis by itself) up to each sample
     steps = np.diff(inertial.time_s)[:, None] * 0.5 * (inertial.rate[1:] + inertial.rate[:-1])
     angles = np.vstack((np.zeros(3), np.cumsum(steps, axis=0)))

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from calibration.mount.recording import ImuSamples
+from calibration.mount.recording import ImuSamples, usable
 from calibration.tables import read_arrays, read_text, vectors
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import ConfigError
@@ -53,9 +53,7 @@ def _inertial(path: Path, found: dict[str, FloatArray], gyro_unit: str | None) -
     if len(set(lengths.values())) > 1:
         lengths_text = ", ".join(f"{name} {count}" for name, count in lengths.items())
         raise ConfigError(f"{path}: columns of different lengths ({lengths_text}); expected equal ones")
-    rows = np.column_stack([found[name] for name in NAMES])
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    rows = rows[np.concatenate(([True], np.diff(rows[:, 0]) > 0.0))] if len(rows) else rows
+    rows = usable(np.column_stack([found[name] for name in NAMES]))
     if len(rows) < 100:
         raise ConfigError(f"{path}: {len(rows)} usable rows; expected those of some seconds at least")
     rows[:, 0] *= _time_unit(float(np.median(np.diff(rows[:, 0]))))

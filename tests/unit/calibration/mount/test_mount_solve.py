@@ -18,7 +18,6 @@ from calibration.mount.model import (
     exp,
     log,
     nearest_rotation,
-    transposed,
 )
 from calibration.mount.recording import ImuSamples, PadObservations
 from calibration.mount.result import camera_angles_deg, reasons
@@ -92,10 +91,10 @@ class MountTrack:
         flaws, rng = self.flaws, self.rng
         t = np.arange(-1.0, self.seconds + 1.0, 1.0 / rate_hz)
         attitude = self.attitude(t)
-        rate = log(transposed(self.attitude(t - H)) @ self.attitude(t + H)) / (2.0 * H)
+        rate = log(self.attitude(t - H).mT @ self.attitude(t + H)) / (2.0 * H)
         bend = (self.position(t - H) - 2.0 * self.position(t) + self.position(t + H)) / H**2
         bend[:, 2] -= GRAVITY_M_S2
-        force = (transposed(attitude) @ bend[..., None])[..., 0]
+        force = (attitude.mT @ bend[..., None])[..., 0]
         gyro = np.eye(3) + flaws.gyro_cross * rng.standard_normal((3, 3))
         accel = np.eye(3) + flaws.accel_cross * rng.standard_normal((3, 3))
         rate = rate @ gyro.T + flaws.gyro_bias_rad_s * rng.standard_normal(3)
@@ -109,7 +108,7 @@ class MountTrack:
         flaws, rng = self.flaws, self.rng
         t = np.arange(0.0, self.seconds, 1.0 / rate_hz)
         attitude, world = self.attitude(t), self.position(t)
-        camera_from_world = transposed(attitude @ self.body_from_camera)
+        camera_from_world = (attitude @ self.body_from_camera).mT
         camera = world + attitude @ np.array(flaws.position_m)
         rotation = camera_from_world @ self.pad_in_world
         place = -(camera_from_world @ camera[..., None])[..., 0]
