@@ -12,6 +12,7 @@ from rich.table import Table
 
 from companion.base.command_line import say
 from companion.base.files import save_figure
+from companion.base.units import without_unit
 from companion.plan.speed.fuzzy_rules import (
     OUTPUT,
     FuzzyRules,
@@ -119,7 +120,6 @@ WORDS: Final = {
     "sight_rad": "sight",
     "gust_m_s2": "gusts",
 }
-UNITS: Final = {"m": "m", "m_s": "m/s", "m_s2": "m/s²", "rad": "rad"}
 
 
 def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite: bool) -> bool:
@@ -168,7 +168,7 @@ def rule_tables(rules: RuleSet) -> list[Table]:
 def error_line(rules: RuleSet, error: TableError) -> str:
     """What the table is worth, beside its bar."""
     where = ", ".join(
-        f"{value:.2f} {UNITS[name.partition('_')[2].removeprefix('speed_')]}"
+        f"{value:.2f} {without_unit(name)[1]}"
         for name, value in zip(rules.inputs, error.worst_at, strict=True)
     )
     verdict = "holds" if error.holds else "FAILS"

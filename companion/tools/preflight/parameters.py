@@ -58,45 +58,26 @@ Output = Literal["setpoints", "landing_target"]  # control.output
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the settings and the vehicle's file want of the autopilot, whose system id is `system_id`.
+    """The settings and the vehicle's file, for an autopilot whose system id is `system_id`.
 
-    `setup`: what its parameters say together.
+    `setpoints`: the kinds that it is sent; `setup`: what its parameters say together.
     """
 
-    tilt_deg: float
-    descent_m_s: float
-    climb_m_s: float
-    hover_thrust: float
-    sends_attitude: bool
-    sends_velocity: bool
-    may_set: bool  # link.set_parameters
+    config: CompanionConfig
+    vehicle: VehicleConfig
+    setpoints: frozenset[str]
     system_id: int = 1
     setup: AutopilotSetup = field(default_factory=AutopilotSetup)
-    output: Output = "setpoints"
-    pad_moves: bool = False
 
     @classmethod
     def of(
-        cls,
-        config: CompanionConfig,
-        vehicle: VehicleConfig,
-        autopilot_kind: AutopilotKind,
-        system_id: int = 1,
+        cls, config: CompanionConfig, vehicle: VehicleConfig, kind: AutopilotKind, system_id: int = 1
     ) -> Wanted:
-        setpoint = resolved(config.control, autopilot_kind).setpoint
-        limits = config.control.limits
-        return cls(
-            limits.tilt_deg,
-            limits.descent_speed_m_s,
-            limits.climb_speed_m_s,
-            vehicle.hover_thrust,
-            setpoint == "attitude",
-            setpoint == "velocity",
-            config.link.set_parameters,
-            system_id,
-            output=config.control.output,
-            pad_moves=config.sense.vision.pad_on != "fixed",
-        )
+        return cls(config, vehicle, frozenset({resolved(config.control, kind).setpoint}), system_id)
+
+    @property
+    def tilt_deg(self) -> float:
+        return self.config.control.limits.tilt_deg
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +143,7 @@ def _fence(off: Callable[[float], bool]) -> _Judge:
     """A part of the fence that ends what nothing else would; `off`: the part is missing."""
 
     def judge(value: float, wanted: Wanted) -> Verdict:
-        if not wanted.sends_attitude or wanted.setup.drift_ends is not False or not off(value):
+        if "attitude" not in wanted.setpoints or wanted.setup.drift_ends is not False or not off(value):
             return None
         return _warn(
             f"when setpoints stop, the vehicle drifts with the wind, and {endless_drift(wanted.system_id)}"
@@ -212,33 +193,35 @@ def _tilt(scale: float) -> _Rule:
 
 
 def _hover_thrust(value: float, wanted: Wanted) -> Verdict:
-    if abs(value / wanted.hover_thrust - 1.0) <= HOVER_DIFFERS:
+    if abs(value / wanted.vehicle.hover_thrust - 1.0) <= HOVER_DIFFERS:
         return None
     return _warn(
-        f"the vehicle's file says hover_thrust {wanted.hover_thrust:g}: one of the two is wrong, and "
+        f"the vehicle's file says hover_thrust {wanted.vehicle.hover_thrust:g}: one of the two is wrong, and "
         "the vehicle will sink or climb when the app takes control; hover once and compare"
     )
 
 
 def _thrust_is_thrust(value: float, wanted: Wanted) -> Verdict:
-    if not wanted.sends_attitude or int(value) & THRUST_IS_THRUST:
+    if "attitude" not in wanted.setpoints or int(value) & THRUST_IS_THRUST:
         return None
     needed = int(value) | THRUST_IS_THRUST
     why = f"expected {needed} (bit 3): without it ArduPilot takes the app's thrust for a climb rate"
-    if wanted.may_set:
+    if wanted.config.link.set_parameters:
         return _warn(f"{why}; link.set_parameters lets the app set it before it arms")
     return _fail(f"{why}, and control is refused")
 
 
-def _speed(key: str, pick: Callable[[Wanted], float]) -> _Rule:
-    def judge(value: float, wanted: Wanted) -> Verdict:
-        if value >= pick(wanted):
-            return None
-        return _warn(
-            f"expected {pick(wanted):g} or more (control.limits.{key}): the autopilot limits setpoints"
-        )
+def _speed(key: str) -> _Rule:
+    def target(_value: float, wanted: Wanted, _read: ParameterReadings | None = None) -> float:
+        return float(getattr(wanted.config.control.limits, key))
 
-    return _Rule(judge, lambda _value, wanted, _read: pick(wanted))
+    def judge(value: float, wanted: Wanted) -> Verdict:
+        least = target(value, wanted)
+        if value >= least:
+            return None
+        return _warn(f"expected {least:g} or more (control.limits.{key}): the autopilot limits setpoints")
+
+    return _Rule(judge, target)
 
 
 def _land_speed(unit: float, name: str) -> _Judge:
@@ -248,7 +231,7 @@ def _land_speed(unit: float, name: str) -> _Judge:
 
 
 def _velocity_shaping(value: float, wanted: Wanted) -> Verdict:
-    if not wanted.sends_velocity or value > 0.0:
+    if "velocity" not in wanted.setpoints or value > 0.0:
         return None
     return _warn("expected more than 0: ArduPilot shapes velocity setpoints by this limit")
 
@@ -272,7 +255,7 @@ def _lag(value: float, _: Wanted) -> Verdict:
 
 
 def _moving_target(value: float, wanted: Wanted) -> Verdict:
-    if not wanted.pad_moves or int(value) & _MOVING_TARGET:
+    if wanted.config.sense.vision.pad_on == "fixed" or int(value) & _MOVING_TARGET:
         return None
     return _warn("expected bit 0 (value 1): sense.vision.pad_on says that the pad moves")
 
@@ -323,8 +306,8 @@ RULES: Final[dict[AutopilotKind, dict[str, _Rule]]] = {
             ),
             _to(1.0),
         ),
-        "MPC_Z_VEL_MAX_DN": _speed("descent_speed_m_s", lambda wanted: wanted.descent_m_s),
-        "MPC_Z_VEL_MAX_UP": _speed("climb_speed_m_s", lambda wanted: wanted.climb_m_s),
+        "MPC_Z_VEL_MAX_DN": _speed("descent_speed_m_s"),
+        "MPC_Z_VEL_MAX_UP": _speed("climb_speed_m_s"),
     },
     "ardupilot": {
         "GUID_TIMEOUT": _Rule(_timeout("ardupilot"), _to(1.0)),
@@ -401,7 +384,7 @@ def judge_parameters(
     kind, found = autopilot_kind, []
     told = {first: value_of(kind, first, values) for first in PROFILES[kind].read_parameters}
     wanted = replace(wanted, setup=setup_of(kind, told, wanted.system_id))
-    for first in _rules(kind, wanted.output):
+    for first in _rules(kind, wanted.config.control.output):
         names = _names(kind, first)
         reported = [name for name in names if values.get(name) is not None]
         if not reported and first in PROFILES[kind].loss_parameters:

@@ -52,8 +52,8 @@ def show(number: int, step: Step) -> None:
 
 
 def change_lines(change: FileChange | Program) -> list[str]:
-    if isinstance(change, Program):
-        return [f"run: {shlex.join(change.words)}"]
+    if not isinstance(change, FileChange):
+        return [f"run: {shlex.join(change)}"]
     return [
         f"in {change.name}:",
         *(f"  - {line}" for line in change.removed),
@@ -74,10 +74,10 @@ def _change(machine: Machine, change: FileChange | Program) -> bool:
         machine.write(change.name, change.text)
         typer.echo(f"   changed {change.name}; as it was before: {change.name}{BEFORE}")
         return True
-    code, told = machine.run(change.words)
+    code, told = machine.run(change)
     if code != 0:
         last = told.strip().splitlines()[-1:] or [f"exit code {code}"]
-        typer.echo(f"   failed: {shlex.join(change.words)}: {last[0]}")
+        typer.echo(f"   failed: {shlex.join(change)}: {last[0]}")
         return False
-    typer.echo(f"   ran {shlex.join(change.words)}")
+    typer.echo(f"   ran {shlex.join(change)}")
     return True

@@ -35,9 +35,7 @@ class FileChange:
     removed: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Program:
-    words: tuple[str, ...]
+Program = tuple[str, ...]  # its words
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +153,7 @@ def i2c(machine: Machine, config: CompanionConfig) -> Step:
     module: tuple[FileChange | Program, ...] = ()
     if not loaded:
         text = (machine.read(MODULES_FILE) or "") + "i2c-dev\n"
-        module = (FileChange(MODULES_FILE, text, added=("i2c-dev",)), Program(("modprobe", "i2c-dev")))
+        module = (FileChange(MODULES_FILE, text, added=("i2c-dev",)), ("modprobe", "i2c-dev"))
     changes = (*_in_config_txt(machine, title, missing), *module)
     if not changes:
         return _done(title, "on, i2c-dev is loaded at the start", needed=needed)
@@ -185,7 +183,7 @@ def groups(machine: Machine, config: CompanionConfig) -> Step:
     missing = [group for group in GROUPS if group in members and user not in members[group]]
     if not missing:
         return _done(title, f"{user} is in all that there are")
-    change = Program(("usermod", "--append", "--groups", ",".join(missing), user))
+    change = ("usermod", "--append", "--groups", ",".join(missing), user)
     why = f"{user} may ask the service and calibrate; counts from the next login on"
     return Step(title, StepState.TO_DO, why, True, (change,))
 
@@ -205,9 +203,9 @@ def packages(machine: Machine, config: CompanionConfig) -> Step:
     if not missing:
         return _done(title, f"{', '.join(module for module, need in wanted.items() if need)}: there")
     names = tuple(f"python3-{module}" for module in missing)
-    install = Program(("apt-get", "install", "--yes", "--no-install-recommends", *names))
+    install = ("apt-get", "install", "--yes", "--no-install-recommends", *names)
     why = f"the settings need {', '.join(missing)}; {OFFLINE}"
-    return Step(title, StepState.TO_DO, why, True, (Program(("apt-get", "update")), install))
+    return Step(title, StepState.TO_DO, why, True, (("apt-get", "update"), install))
 
 
 def time_synchronisation(machine: Machine, config: CompanionConfig) -> Step:
@@ -220,10 +218,10 @@ def time_synchronisation(machine: Machine, config: CompanionConfig) -> Step:
         return _left_out(title, "no timedatectl here")
     if "NTP=yes" in told.split():
         return _done(title, "on")
-    on = Program(("timedatectl", "set-ntp", "true"))
+    on = ("timedatectl", "set-ntp", "true")
     why = "logs and signing need the date; a Raspberry Pi does not keep it"
     if "CanNTP=no" in told.split():
-        install = Program(("apt-get", "install", "--yes", "systemd-timesyncd"))
+        install = ("apt-get", "install", "--yes", "systemd-timesyncd")
         return Step(title, StepState.TO_DO, f"{why}; {OFFLINE}", True, (install, on))
     return Step(title, StepState.TO_DO, why, True, (on,))
 

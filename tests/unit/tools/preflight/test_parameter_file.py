@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -68,8 +69,7 @@ def wanted(kind: AutopilotKind) -> Wanted:
             update={"control": config.control.model_copy(update={"setpoint": "velocity"})}
         )
         # velocity setpoints are shaped by more parameters; attitude ones by GUID_OPTIONS
-        both = Wanted.of(config, VEHICLE, kind)
-        return Wanted(**{**{name: getattr(both, name) for name in both.__slots__}, "sends_attitude": True})
+        return replace(Wanted.of(config, VEHICLE, kind), setpoints=frozenset({"attitude", "velocity"}))
     return Wanted.of(config, VEHICLE, kind)
 
 
