@@ -1,7 +1,5 @@
 """Boards: the print is what OpenCV looks for, at its true size."""
 
-import re
-import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +23,7 @@ from companion.base.encoding import Encoding, grey_of_light, light_of_greys
 from companion.base.geometry import FloatArray
 from companion.base.printing.paper import PaperName
 from companion.config import CONFIG_FOLDER, CameraConfig, ConfigError, find_file, load_model, validate
+from tests.printed_pages import read_pdf
 from tests.unit.calibration.camera.board_pictures import (
     BLACK,
     WHITE,
@@ -38,7 +37,6 @@ CHARUCO = CalibrationBoard(columns=7, rows=5, square_m=0.034, marker_m=0.025)
 LEGACY = CalibrationBoard(columns=5, rows=6, square_m=0.03, marker_m=0.02, legacy_pattern=True)
 GRID = CalibrationBoard(pattern="grid", columns=4, rows=3, marker_m=0.04, gap_m=0.01, dictionary="6x6_250")
 CHESSBOARD = CalibrationBoard(pattern="chessboard", columns=8, rows=5, square_m=0.025)
-MM_PER_POINT = 25.4 / 72.0
 
 
 def painted(board: CalibrationBoard, per_m: float) -> np.ndarray:
@@ -137,33 +135,12 @@ def test_a_board_that_cannot_be_is_refused(change: dict[str, object], told: str)
 # ---------------------------------------------------------------- print
 
 
-def pdf_numbers(path: Path) -> tuple[tuple[float, float], np.ndarray]:
-    """A PDF's page (mm), and the corners (n, 2) (mm) of the first filled shape on it."""
-    data = path.read_bytes()
-    box = re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", data)
-    assert box is not None
-    streams = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", data, re.DOTALL)
-    page = next(text for text in map(inflated, streams) if b" l\n" in text)
-    # of several shapes the board is the one with the most corners
-    shapes = re.split(rb"\n(?:f|S|s|b|B|n|W n)\b", page)
-    board = max(shapes, key=lambda shape: shape.count(b" l\n"))
-    places = re.findall(rb"([-\d.]+) ([-\d.]+) [ml]\n", board)
-    page_mm = (float(box[1]) * MM_PER_POINT, float(box[2]) * MM_PER_POINT)
-    return page_mm, np.array(places, dtype=float) * MM_PER_POINT
-
-
-def inflated(stream: bytes) -> bytes:
-    try:
-        return zlib.decompress(stream)
-    except zlib.error:
-        return b""
-
-
 @pytest.mark.parametrize("paper", ["a4", "a3", "letter"])
 def test_the_print_has_its_true_size(paper: PaperName, tmp_path: Path) -> None:
     written = write_board(CHARUCO, tmp_path / "board.pdf", paper)
     assert [path.name for path in written] == ["board.pdf", "board.png", "board.yaml"]
-    page_mm, corners_mm = pdf_numbers(written[0])
+    [page] = read_pdf(written[0])
+    page_mm, corners_mm = page.size_mm, np.concatenate(page.filled)
     assert page_mm == pytest.approx(sheet_mm(CHARUCO, paper), abs=0.01)
     left, top = pattern_corner_mm(CHARUCO, page_mm)
     edges = 1e3 * np.array(CHARUCO.black_rectangles())
