@@ -1,6 +1,6 @@
 """A session and a fake autopilot, in virtual time."""
 
-from companion.config import LinkConfig
+from companion.config import LinkConfig, SenseConfig
 from companion.link.codec import Codec, Message
 from companion.link.session import Session
 from tests.unit.link.fake_autopilot import FakeAutopilot
@@ -11,8 +11,13 @@ DELAY_S = 0.004
 class SessionFlight:
     """A session and an autopilot with a line of constant delay between them, in steps of 2 ms."""
 
-    def __init__(self, config: LinkConfig | None = None, autopilot: FakeAutopilot | None = None) -> None:
-        self.session = Session(config or LinkConfig())
+    def __init__(
+        self,
+        config: LinkConfig | None = None,
+        autopilot: FakeAutopilot | None = None,
+        sense: SenseConfig | None = None,
+    ) -> None:
+        self.session = Session(config or LinkConfig(), sense)
         self.autopilot = autopilot or FakeAutopilot()
         self.now_s = 100.0
         self.heard = Codec(9)

@@ -6,8 +6,9 @@ import struct
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.link.codec import Codec, mavlink
+from companion.link.codec import mavlink
 from companion.link.commands import ParameterRequest, ParameterRequests
+from tests.unit.link.telemetry.autopilot_readings import packed
 
 INT8, INT32, REAL32 = (
     mavlink.MAV_PARAM_TYPE_INT8,
@@ -40,6 +41,5 @@ def test_an_integer_is_read_as_its_autopilot_sends_it(
     requests.submit(request)
     requests.to_send(0.0, 1)
     message = mavlink.MAVLink_param_value_message(b"COM_OBL_RC_ACT", sent, param_type, 9, 0)
-    (heard,) = Codec(1).decode(Codec(1, 1).encode(message))
-    requests.heard(heard, kind)
+    requests.heard(packed(message), kind)
     assert request.value == told

@@ -9,20 +9,16 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES, custom_mode, mode_name, mode_parameters
 from companion.base.geometry import euler_from_quat, quat_from_euler
 from companion.base.messages import AutopilotState, LandedState
-from companion.link.codec import Codec, CurrentMode, Message, mavlink, status_texts
+from companion.link.codec import CurrentMode, Message, mavlink, status_texts
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
+from tests.unit.link.telemetry.autopilot_readings import packed
 
 FRESH = AutopilotState(time_s=0.0)
 OUTPUTS = mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
 
 
-def over_the_wire(message: Message) -> Message:
-    [back] = Codec(1).decode(Codec(1, 1).encode(message))
-    return back
-
-
 def after(message: Message, state: AutopilotState = FRESH, time_s: float = 1.0) -> AutopilotState:
-    return update_state(state, over_the_wire(message), time_s)
+    return update_state(state, packed(message), time_s)
 
 
 def heartbeat(
@@ -285,7 +281,7 @@ LONG = "Preflight Fail: " + "ekf2 missing data, " * 6 + "wait"
 
 def texts_of(messages: list[Message]) -> list[str]:
     texts = StatusTexts()
-    return [text for m in messages for text in texts.receive(over_the_wire(m))]
+    return [text for m in messages for text in texts.receive(packed(m))]
 
 
 def test_short_and_long_texts_come_whole() -> None:
