@@ -32,6 +32,7 @@ class FakeAutopilot:
     deaf_to: dict[int, int] = field(default_factory=dict)
     deaf_to_parameters: int = 0
     keeps_parameters: bool = False
+    keeps_mode: bool = False  # though it accepts another
     rates_hz: dict[int, float] = field(default_factory=dict)
     heard: list[Message] = field(default_factory=list)
     parameters: dict[str, float] = field(default_factory=lambda: {"MIS_TAKEOFF_ALT": 2.5})
@@ -135,7 +136,7 @@ class FakeAutopilot:
         if number == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             self.armed = command.param1 == 1.0
         elif number == mavlink.MAV_CMD_DO_SET_MODE:
-            self.mode = self._mode(int(command.param2), int(command.param3))
+            self.mode = self.mode if self.keeps_mode else self._mode(int(command.param2), int(command.param3))
         elif number == mavlink.MAV_CMD_NAV_TAKEOFF:
             self.believes_in_air = True
         elif number == mavlink.MAV_CMD_NAV_LAND:

@@ -39,7 +39,6 @@ async def fly(
     story: Callable[[PymavlinkActions, Session], Awaitable[list[ActionResult]]],
     config: LinkConfig | None = None,
     ground: Answer | None = None,
-    settle_s: float = 1.5,
     attitude_setpoints: bool = False,
 ) -> list[ActionResult]:
     """Connect, let the telemetry settle, and run a story of actions."""
@@ -54,7 +53,7 @@ async def fly(
             ours.write(session.tick(clock.now_s()))
 
     tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(simulate(autopilot, theirs, ground))]
-    await asyncio.sleep(settle_s)
+    await asyncio.sleep(1.5)
     try:
         return await story(actions, session)
     finally:
@@ -68,13 +67,36 @@ def perform(
     *asked: Action,
     config: LinkConfig | None = None,
     ground: Answer | None = None,
-    settle_s: float = 1.5,
     attitude_setpoints: bool = False,
 ) -> list[ActionResult]:
     async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
         return [await actions.perform(action) for action in asked]
 
-    return fly(autopilot, story, config, ground, settle_s, attitude_setpoints)
+    return fly(autopilot, story, config, ground, attitude_setpoints)
+
+
+def meanwhile(
+    autopilot: FakeAutopilot,
+    asked: Action,
+    after_s: float,
+    happens: Callable[[PymavlinkActions, Session], object],
+    config: LinkConfig | None = None,
+) -> ActionResult:
+    """Begin an action, let something happen while it is under way, and wait for its end."""
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        asking = asyncio.ensure_future(actions.perform(asked))
+        await asyncio.sleep(after_s)
+        happens(actions, session)
+        return [await asking]
+
+    [result] = fly(autopilot, story, config)
+    return result
+
+
+def show(autopilot: FakeAutopilot, session: Session) -> None:
+    """The autopilot's next heartbeat comes at once."""
+    session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
 
 
 def autopilot_of(autopilot_kind: AutopilotKind) -> FakeAutopilot:

@@ -2,17 +2,17 @@
 
 import asyncio
 import math
+from dataclasses import replace
 
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.clock import Clock
 from companion.base.messages import Action, ActionKind, ActionResult, PadBeacon
 from companion.config import LinkConfig
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.codec import Codec, mavlink
 from companion.link.session import Session
-from tests.unit.link.actions.action_flight import autopilot_of, fly, perform
+from tests.unit.link.actions.action_flight import autopilot_of, fly, meanwhile, perform, show
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.ground_beacon import follow_target
 
@@ -156,11 +156,7 @@ def test_an_autopilot_that_does_not_answer_is_a_refusal_in_time() -> None:
 
 
 def test_an_accepted_mode_that_does_not_come_is_a_refusal() -> None:
-    class Stubborn(FakeAutopilot):
-        def _mode(self, main: int, sub: int) -> str:
-            return "AUTO.LOITER"
-
-    [result] = perform(Stubborn(), Action(ActionKind.TAKE_CONTROL))
+    [result] = perform(FakeAutopilot(keeps_mode=True), Action(ActionKind.TAKE_CONTROL))
     assert (result.accepted, result.text) == (False, "accepted, but not OFFBOARD")
 
 
@@ -211,14 +207,12 @@ def test_a_vehicle_that_a_failsafe_has_taken_up_is_not_disarmed_by_force() -> No
     autopilot = FakeAutopilot(armed=True, believes_in_air=True, mode="OFFBOARD")
     autopilot.deaf_to[mavlink.MAV_CMD_COMPONENT_ARM_DISARM] = 1
 
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.DISARM, force=True)))
-        await asyncio.sleep(0.1)
+    def taken_up(_: PymavlinkActions, session: Session) -> None:
         autopilot.mode = "AUTO.RTL"
-        session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
-        return [await asking]
+        show(autopilot, session)
 
-    [result] = fly(autopilot, story, LinkConfig(force_disarm=True))
+    disarm = Action(ActionKind.DISARM, force=True)
+    result = meanwhile(autopilot, disarm, 0.1, taken_up, LinkConfig(force_disarm=True))
     assert (result.accepted, result.text) == (False, "the autopilot has changed to AUTO.RTL")
     assert autopilot.armed
     assert forced(autopilot) == []
@@ -274,14 +268,11 @@ def test_what_somebody_else_arms_before_our_request_is_answered_is_no_arming_of_
     autopilot = FakeAutopilot(mode="POSCTL", armed=not asked_first)
     autopilot.deaf_to[mavlink.MAV_CMD_COMPONENT_ARM_DISARM] = 1
 
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.ARM)))
-        await asyncio.sleep(0.1)
+    def arms(_: PymavlinkActions, session: Session) -> None:
         autopilot.armed = True  # and it would accept our repeated request
-        session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
-        return [await asking]
+        show(autopilot, session)
 
-    [result] = fly(autopilot, story)
+    result = meanwhile(autopilot, Action(ActionKind.ARM), 0.1, arms)
     assert (result.accepted, result.text) == (False, "armed before it has answered")
     assert len(autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == asked_first
     assert result.in_doubt is (True if asked_first else None)  # it may as well have been ours
@@ -292,13 +283,7 @@ def test_a_mode_in_doubt_before_it_is_no_arming_that_has_left() -> None:
     autopilot = autopilot_of("ardupilot")
     autopilot.deaf_to[mavlink.MAV_CMD_DO_SET_MODE] = 99
 
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.ARM)))
-        await asyncio.sleep(0.8)
-        autopilot.armed = True
-        return [await asking]
-
-    [result] = fly(autopilot, story)
+    result = meanwhile(autopilot, Action(ActionKind.ARM), 0.8, lambda *_: setattr(autopilot, "armed", True))
     # THEN nothing of the request can have armed it
     assert (result.accepted, result.in_doubt) == (False, None)
     assert autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == []
@@ -309,13 +294,8 @@ def test_a_withdrawn_request_is_in_doubt_where_it_has_left(deaf: bool) -> None:
     autopilot = autopilot_of("px4")
     autopilot.deaf_to[mavlink.MAV_CMD_COMPONENT_ARM_DISARM] = 99 if deaf else 0
 
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.ARM)))
-        await asyncio.sleep(0.1 if deaf else 0.0)
-        actions.cancel()
-        return [await asking]
-
-    [result] = fly(autopilot, story)
+    after_s = 0.1 if deaf else 0.0
+    result = meanwhile(autopilot, Action(ActionKind.ARM), after_s, lambda actions, _: actions.cancel())
     assert len(autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == deaf
     assert (result.text, result.in_doubt) == ("withdrawn", True if deaf else None)
 
@@ -325,15 +305,11 @@ def test_a_withdrawn_request_is_in_doubt_where_it_has_left(deaf: bool) -> None:
 def test_what_left_is_in_doubt_until_the_autopilot_denies_it_or_shows_it(
     autopilot_kind: AutopilotKind, kind: ActionKind
 ) -> None:
-    class Unchanged(FakeAutopilot):
-        def _mode(self, main: int, sub: int) -> str:
-            return self.mode
-
     number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM if kind is ActionKind.ARM else mavlink.MAV_CMD_DO_SET_MODE
     doubts = {"unanswered": autopilot_of(autopilot_kind), "denied": autopilot_of(autopilot_kind)}
     doubts["unanswered"].deaf_to[number], doubts["denied"].refuses[number] = 99, "not now"
     if kind is ActionKind.TAKE_CONTROL:
-        doubts["not shown"] = Unchanged(autopilot_kind=autopilot_kind, mode=autopilot_of(autopilot_kind).mode)
+        doubts["not shown"] = replace(autopilot_of(autopilot_kind), keeps_mode=True)
     for why, autopilot in doubts.items():
         [result] = perform(autopilot, Action(kind))
         assert (result.accepted, result.in_doubt) == (False, why != "denied"), result.text

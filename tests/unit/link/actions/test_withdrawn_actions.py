@@ -1,16 +1,13 @@
 """Actions that are withdrawn, and control that a pilot has taken."""
 
-import asyncio
-
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.clock import Clock
 from companion.base.messages import Action, ActionKind, ActionResult, PadBeacon
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.codec import Codec, mavlink
 from companion.link.session import Session
-from tests.unit.link.actions.action_flight import autopilot_of, cancel_after, fly, perform
+from tests.unit.link.actions.action_flight import autopilot_of, cancel_after, fly, meanwhile, perform, show
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.ground_beacon import follow_target
 
@@ -43,11 +40,7 @@ def test_after_cancelling_holding_waits_for_nothing() -> None:
 
 
 def test_cancelling_while_an_accepted_mode_is_awaited_ends_that_too() -> None:
-    class Stubborn(FakeAutopilot):
-        def _mode(self, main: int, sub: int) -> str:
-            return "AUTO.LOITER"
-
-    [result] = cancel_after(Stubborn(), 0.5, Action(ActionKind.TAKE_CONTROL))
+    [result] = cancel_after(FakeAutopilot(keeps_mode=True), 0.5, Action(ActionKind.TAKE_CONTROL))
     assert result.text == "withdrawn"
 
 
@@ -79,14 +72,11 @@ def test_a_mode_that_was_chosen_meanwhile_is_not_asked_away(
     autopilot = autopilot_of(autopilot_kind)
     autopilot.deaf_to[mavlink.MAV_CMD_DO_SET_MODE] = 1
 
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        asking = asyncio.ensure_future(actions.perform(Action(asked)))
-        await asyncio.sleep(0.1)
+    def choose(_: PymavlinkActions, session: Session) -> None:
         autopilot.mode = chosen
-        session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
-        return [await asking]
+        show(autopilot, session)
 
-    [result] = fly(autopilot, story)
+    result = meanwhile(autopilot, Action(asked), 0.1, choose)
     assert (result.accepted, result.text) == (False, f"the mode was changed to {chosen}")
     assert autopilot.mode == chosen
     assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
@@ -107,16 +97,13 @@ def test_control_is_returned_out_of_our_mode_alone_even_if_that_is_shown_only_no
 ) -> None:
     autopilot = FakeAutopilot(autopilot_kind=kind, mode="POSCTL" if kind == "px4" else "STABILIZE")
 
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        returning = asyncio.ensure_future(actions.perform(Action(ActionKind.HOLD_IF_OBEYED)))
-        await asyncio.sleep(0.5)
+    def comes(_: PymavlinkActions, session: Session) -> None:
         if comes_to:
             autopilot.mode = comes_to
         else:
             session.receive = lambda data, now_s: None  # type: ignore[method-assign]
-        return [await returning]
 
-    [result] = fly(autopilot, story)
+    result = meanwhile(autopilot, Action(ActionKind.HOLD_IF_OBEYED), 0.5, comes)
     assert (result.accepted, autopilot.mode) == (accepted, mode)
     assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == (comes_to in {"OFFBOARD", "GUIDED"})
 
