@@ -24,7 +24,7 @@ from companion.base.geometry import vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, ConfigError
 from companion.config.magnetometer import load_magnetometer_calibration
-from companion.flightlog.replay.dataflash import DataFlashLog
+from companion.flightlog.replay.dataflash import hand_out
 from companion.flightlog.replay.flight_record import SECONDS_PER_YEAR, UT_PER, RecordingPlace
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.flightlog.replay.ulog import read_ulog
@@ -162,17 +162,8 @@ def read_dataflash_compass(path: Path) -> MagnetometerRecording:
     Raises:
         ConfigError: not one, or no MAG in it.
     """
-    log = None
-    with contextlib.redirect_stderr(io.StringIO()):
-        try:
-            log = DataFlashLog(str(path))
-            messages = _messages(log, ["MAG", "IMU", "PARM", "GPS"])
-        except Exception as error:
-            # the library meets garbage with whatever Python raises there
-            raise ConfigError(f"{path}: not a DataFlash log that can be read: {error}") from error
-        finally:
-            if log is not None:
-                log.close()
+    messages: dict[str, list[Any]] = {kind: [] for kind in ("MAG", "IMU", "PARM", "GPS")}
+    hand_out(path, [*messages], lambda message: messages[message.get_type()].append(message))
     mags = [m for m in messages["MAG"] if getattr(m, "Health", 1)]
     if not mags:
         raise ConfigError(f"{path}: no MAG messages in it; expected those of a compass")
@@ -191,15 +182,6 @@ def read_dataflash_compass(path: Path) -> MagnetometerRecording:
     offsets = np.array([_mgauss(m, "Ofs") for m in mags])
     recording.raw = (raw - motors) @ np.linalg.inv(matrix).T - offsets
     return recording
-
-
-def _messages(log: Any, kinds: list[str]) -> dict[str, list[Any]]:
-    """All messages of those kinds, of the first instance."""
-    found: dict[str, list[Any]] = {kind: [] for kind in kinds}
-    while (message := log.recv_match(type=kinds)) is not None:
-        if getattr(message, "I", getattr(message, "Instance", 0)) == 0:
-            found[message.get_type()].append(message)
-    return found
 
 
 def _mgauss(message: Any, name: str) -> list[float]:

@@ -53,26 +53,40 @@ RANGE_GOOD: Final = 4
 
 
 def read_dataflash(path: Path) -> FlightRecord:
+    reading = _Reading()
+    words = hand_out(path, [*reading.takers], reading.take)
+    return reading.finish(_damage(words))
+
+
+def hand_out(path: Path, kinds: list[str], take: Callable[[Any], None]) -> str:
+    """Hand each message of those kinds and of the first instance to `take`.
+
+    Returns:
+        What the library said in passing.
+
+    Raises:
+        ConfigError: not a DataFlash log, or of `take`.
+    """
     words = io.StringIO()
+    log = None
     with contextlib.redirect_stderr(words):
         try:
-            log = DataFlashLog(str(path))
-            reading = _Reading()
-            wanted = [*reading.takers]
-            while (message := log.recv_match(type=wanted)) is not None:
-                reading.take(message)
+            log = _DataFlashLog(str(path))
+            while (message := log.recv_match(type=kinds)) is not None:
+                if getattr(message, "I", getattr(message, "Instance", 0)) == 0:
+                    take(message)
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
         except Exception as error:
             # the library meets garbage with whatever Python raises there
             raise ConfigError(f"{path}: not a DataFlash log that can be read: {error}") from error
         finally:
-            with contextlib.suppress(UnboundLocalError):
+            if log is not None:
                 log.close()
-    return reading.finish(_damage(words.getvalue()))
+    return words.getvalue()
 
 
-class DataFlashLog(DFReader.DFReader_binary):  # type: ignore[misc]
+class _DataFlashLog(DFReader.DFReader_binary):  # type: ignore[misc]
     """The library's reader, without its quicker index: that one complains past Python's streams."""
 
     def init_arrays_fast(self, progress_callback: Any = None) -> None:
@@ -114,8 +128,7 @@ class _Reading:
         self._motion: dict[str, list[tuple[float, Vector3, Vector3]]] = {name: [] for name in EKF_MESSAGES}
 
     def take(self, message: Any) -> None:
-        if getattr(message, "I", getattr(message, "Instance", 0)) == 0:
-            self.takers[message.get_type()](message, _time_s(message))
+        self.takers[message.get_type()](message, _time_s(message))
 
     def _take_parameter(self, message: Any, _time_s: float) -> None:
         self.parameters[message.Name] = float(message.Value)
