@@ -19,43 +19,39 @@ TOLD: dict[str, float] = {
 }  # fmt: skip
 
 
-def answer(
-    reader: SetupReader,
-    requests: ParameterRequests,
-    kind: AutopilotKind,
-    told: dict[str, float],
-    during: int = 30,
-) -> None:
-    """Tenths of a second in which the autopilot answers."""
-    for k in range(during):
-        for message in requests.to_send(0.1 * k, 1):
-            assert message.get_type() != "PARAM_SET"
-            name = str(message.param_id)
-            if name in told:
-                reply = mavlink.MAVLink_param_value_message(name.encode(), told[name], 9, 1, 0)
-                reply.param_id = name
-                requests.heard(reply, kind)
+class Reader(SetupReader):
+    """One that has begun, and that the autopilot answers."""
+
+    def __init__(self, kind: AutopilotKind) -> None:
+        self.requests, self.kind = ParameterRequests(), kind
+        super().__init__(self.requests)
+        self.begin(kind)
+
+    def answered(self, told: dict[str, float], during: int = 30) -> "Reader":
+        """Tenths of a second in which the autopilot answers."""
+        for k in range(during):
+            for message in self.requests.to_send(0.1 * k, 1):
+                assert message.get_type() != "PARAM_SET"
+                name = str(message.param_id)
+                if name in told:
+                    reply = mavlink.MAVLink_param_value_message(name.encode(), told[name], 9, 1, 0)
+                    reply.param_id = name
+                    self.requests.heard(reply, self.kind)
+        return self
 
 
 def read(autopilot_kind: AutopilotKind, told: dict[str, float]) -> AutopilotSetup | None:
     """What a reader knows that has been answered for three seconds."""
-    requests = ParameterRequests()
-    reader = SetupReader(requests)
-    reader.begin(autopilot_kind)
-    answer(reader, requests, autopilot_kind, told)
-    return reader.setup
+    return Reader(autopilot_kind).answered(told).setup
 
 
 def test_a_parameter_that_was_corrected_is_known_once_asked_for_afresh() -> None:
-    requests = ParameterRequests()
-    reader = SetupReader(requests)
-    reader.begin("ardupilot")
-    answer(reader, requests, "ardupilot", TOLD | {"GUID_TIMEOUT": 3.0})
+    reader = Reader("ardupilot").answered(TOLD | {"GUID_TIMEOUT": 3.0})
     before = reader.setup
     assert before is not None
     reader.renew()
     assert reader.setup == before  # until it has been answered
-    answer(reader, requests, "ardupilot", TOLD)
+    reader.answered(TOLD)
     assert reader.setup == AutopilotSetup(30.0, 0.36, 2.5, 5.0, 0.6, drift_ends=True)
     reader.begin("px4")
     assert reader.setup is None  # nothing of the other one's counts
@@ -63,16 +59,14 @@ def test_a_parameter_that_was_corrected_is_known_once_asked_for_afresh() -> None
 
 def test_what_follows_a_silence_is_fresh_once_it_has_been_answered_again() -> None:
     # GIVEN an autopilot that lacks a parameter, which is asked for in vain for two seconds
-    requests, told = ParameterRequests(), TOLD | {"GUID_TIMEOUT": 3.0}
+    told = TOLD | {"GUID_TIMEOUT": 3.0}
     del told["PSC_JERK_XY"]
-    reader = SetupReader(requests)
-    reader.begin("ardupilot")
-    answer(reader, requests, "ardupilot", told)
+    reader = Reader("ardupilot").answered(told)
     fresh = [reader.loss_is_fresh]
     # WHEN it is asked afresh
     reader.renew()
     fresh.append(reader.loss_is_fresh)
-    answer(reader, requests, "ardupilot", told | {"GUID_TIMEOUT": 0.5}, during=1)
+    reader.answered(told | {"GUID_TIMEOUT": 0.5}, during=1)
     # THEN what matters is not waited for with the rest
     assert [*fresh, reader.loss_is_fresh] == [True, False, True]
     assert reader.setup is not None
@@ -81,23 +75,17 @@ def test_what_follows_a_silence_is_fresh_once_it_has_been_answered_again() -> No
 
 
 def test_what_a_bad_link_leaves_unanswered_is_known_still() -> None:
-    requests = ParameterRequests()
-    reader = SetupReader(requests)
-    reader.begin("px4")
-    answer(reader, requests, "px4", TOLD | {"COM_OBL_RC_ACT": 4.0})
+    reader = Reader("px4").answered(TOLD | {"COM_OBL_RC_ACT": 4.0})
     before = reader.setup
     reader.renew()
-    answer(reader, requests, "px4", {})
+    reader.answered({})
     assert reader.loss_is_fresh
     assert reader.setup == before
 
 
 def test_what_nothing_can_change_any_more_is_not_put_together_again() -> None:
     """It is asked for in every control cycle, and by each that it is late."""
-    requests = ParameterRequests()
-    reader = SetupReader(requests)
-    reader.begin("px4")
-    answer(reader, requests, "px4", TOLD)
+    reader = Reader("px4").answered(TOLD)
     assert reader.setup is not None
     assert reader.setup is reader.setup
 
