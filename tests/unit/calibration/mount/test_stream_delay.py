@@ -1,13 +1,10 @@
 """`calibrate-mount` finds the delay of a camera on the network: real servers on loopback, in real time."""
 
-import http.server
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -28,6 +25,7 @@ from companion.base.messages import Frame
 from companion.config import CompanionConfig
 from companion.sense.camera.stream import StreamDevice
 from tests.unit.calibration.mount.mount_world import HandHeld, record_sway, scenario_of
+from tests.unit.sense.camera.mjpeg_camera import mjpeg_server
 from tests.unit.sense.camera.rtsp_camera import rtsp_server
 
 pytestmark = pytest.mark.slow
@@ -50,26 +48,6 @@ def number_of(image: NDArray[np.uint8]) -> int:
     return sum(int(image[FIELD_PX // 2, bit * FIELD_PX + FIELD_PX // 2] > 128) << bit for bit in range(BITS))
 
 
-class StreamServer(http.server.BaseHTTPRequestHandler):
-    """Sends each picture so long after its exposure as the camera, encoder and network take."""
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
-        self.end_headers()
-        server: Any = self.server
-        for due_s, data in server.pictures:
-            time.sleep(max(0.0, due_s - time.monotonic()))
-            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
-            try:
-                self.wfile.write(head.encode() + data + b"\r\n")
-            except OSError:
-                return
-
-    def log_message(self, *_: object) -> None:
-        """It is quiet."""
-
-
 def as_due(pictures: list[tuple[float, NDArray[np.uint8]]]) -> Iterator[bytes]:
     """The pictures, each from its time on, 30 a second: one of H.264 is whole when the next one begins."""
     for (from_s, picture), (next_s, _) in pairwise(pictures):
@@ -86,11 +64,15 @@ def playing(kind: str, pictures: list[tuple[float, NDArray[np.uint8]]]) -> Itera
             yield f"rtsp://127.0.0.1:{port}/camera"
         return
     jpegs = [(due_s, cv2.imencode(".jpg", picture)[1].tobytes()) for due_s, picture in pictures]
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), StreamServer) as server:
-        server.daemon_threads, server.pictures = True, jpegs  # type: ignore[attr-defined]
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}/"
-        server.shutdown()
+
+    def each() -> Iterator[bytes]:
+        """So long after its exposure as the camera, encoder and network take."""
+        for due_s, data in jpegs:
+            time.sleep(max(0.0, due_s - time.monotonic()))
+            yield data
+
+    with mjpeg_server(each) as port:
+        yield f"http://127.0.0.1:{port}/"
 
 
 @pytest.fixture(scope="module")

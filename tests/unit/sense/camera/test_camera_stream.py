@@ -1,7 +1,6 @@
 """A camera on the network: HTTP-MJPEG and RTSP on loopback, lost and found again, and one that hangs."""
 
 import asyncio
-import http.server
 import itertools
 import os
 import socket
@@ -9,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
-from typing import Any, cast
+from typing import cast
 
 import cv2
 import numpy as np
@@ -24,6 +23,7 @@ from companion.sense.camera import stream
 from companion.sense.camera.keeper import LONGEST_PAUSE_S, KeptCamera
 from companion.sense.camera.source import FrameSource, is_camera, keep_camera, open_camera
 from tests.unit.sense.camera.camera_frames import noisy
+from tests.unit.sense.camera.mjpeg_camera import mjpeg_server
 from tests.unit.sense.camera.rtsp_camera import rtsp_server
 
 BITS, ROWS = 24, 40
@@ -46,27 +46,11 @@ def age_s(image: NDArray[np.uint8], received_s: float) -> float:
     return 1e-3 * age_ms
 
 
-class Pictures(http.server.BaseHTTPRequestHandler):
-    """MJPEG as cameras serve it, 30 a second, while the server is `on`."""
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
-        self.end_headers()
-        server: Any = self.server
-        for number in range(100_000):
-            if not server.on:
-                return
-            data = cv2.imencode(".jpg", stamped_picture(number))[1].tobytes()
-            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
-            try:
-                self.wfile.write(head.encode() + data + b"\r\n")
-            except OSError:
-                return
-            time.sleep(1 / 30)
-
-    def log_message(self, *_: object) -> None:
-        """It is quiet."""
+def stamped_jpegs() -> Iterator[bytes]:
+    """As `stamped_picture` makes them, 30 a second, for ever."""
+    for number in itertools.count():
+        yield cv2.imencode(".jpg", stamped_picture(number))[1].tobytes()
+        time.sleep(1 / 30)
 
 
 def stamped_pictures() -> Iterator[bytes]:
@@ -74,17 +58,6 @@ def stamped_pictures() -> Iterator[bytes]:
     for number in itertools.count():
         time.sleep(1 / 30)
         yield stamped_picture(number).tobytes()
-
-
-@contextmanager
-def mjpeg_server(port: int = 0) -> Iterator[int]:
-    """An HTTP-MJPEG camera on loopback; its port."""
-    with http.server.ThreadingHTTPServer(("127.0.0.1", port), Pictures) as server:
-        server.daemon_threads, server.on = True, True  # type: ignore[attr-defined]
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield server.server_port
-        server.on = False  # type: ignore[attr-defined]
-        server.shutdown()
 
 
 @contextmanager
@@ -197,7 +170,7 @@ async def until_it_fails(source: FrameSource) -> None:
 async def test_frames_of_an_http_camera_are_stamped_by_their_arrival_less_the_settings_delay(
     camera: CameraConfig,
 ) -> None:
-    with mjpeg_server() as port:
+    with mjpeg_server(stamped_jpegs) as port:
         source = await open_camera(f"http://user:secret@127.0.0.1:{port}/video", camera, LATENCY_S)
         frames = [await source.next() for _ in range(stream.RHYTHM_FRAMES + 2)]
         source.close()
@@ -209,7 +182,7 @@ async def test_frames_of_an_http_camera_are_stamped_by_their_arrival_less_the_se
 
 
 async def test_only_the_newest_frame_of_a_stream_is_handed_on(camera: CameraConfig) -> None:
-    with mjpeg_server() as port:
+    with mjpeg_server(stamped_jpegs) as port:
         source = await open_camera(f"http://127.0.0.1:{port}/", camera)
         await source.next()
         await asyncio.sleep(1.0)  # thirty come meanwhile
@@ -230,13 +203,13 @@ async def first_since(kept: KeptCamera, since_s: float) -> Frame:
 
 
 async def test_a_stream_that_went_is_opened_anew(camera: CameraConfig) -> None:
-    with mjpeg_server() as port:
+    with mjpeg_server(stamped_jpegs) as port:
         kept = await keep_camera(f"http://127.0.0.1:{port}/", camera, LATENCY_S)
         first = await kept.next()
     async with asyncio.timeout(20.0):
         while "closed it, or stalls" not in (await kept.report()).text:
             pass
-    with mjpeg_server(port):
+    with mjpeg_server(stamped_jpegs, port):
         frame = await first_since(kept, asyncio.get_running_loop().time())
     assert frame.sequence > first.sequence
     assert LONGEST_PAUSE_S + stream.CONNECT_S <= 2.0  # a host that is away is asked again within that
@@ -249,7 +222,9 @@ async def test_a_stream_is_back_within_two_seconds_of_its_server(
     camera: CameraConfig, scheme: str, away_s: float
 ) -> None:
     def server(port: int = 0) -> AbstractContextManager[int]:
-        return mjpeg_server(port) if scheme == "http" else rtsp_server(stamped_pictures(), port)
+        return (
+            mjpeg_server(stamped_jpegs, port) if scheme == "http" else rtsp_server(stamped_pictures(), port)
+        )
 
     with server() as port:
         kept = await keep_camera(f"{scheme}://127.0.0.1:{port}/camera", camera, LATENCY_S)
