@@ -119,8 +119,8 @@ def own_state_folder(
 
 
 @pytest.fixture
-def program(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> ProgramHere:
+def program(capsys: pytest.CaptureFixture[str]) -> ProgramHere:
     """Runs a program of ours in this process: `program("companion", "replay", log).code`."""
     from tests.programs import program_here
 
-    return program_here(monkeypatch, capsys)
+    return program_here(capsys)

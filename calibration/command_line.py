@@ -4,7 +4,7 @@ Exit codes: 0 calibrated (or made what was asked for), 1 refused: the line says 
 mend, reported in one line on standard error, 130 interrupted.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Final, NoReturn
@@ -28,7 +28,7 @@ class RefusedError(Exception):
     """A calibration that is not good enough to fly by; the text is the one line to show."""
 
 
-def run(app: typer.Typer, name: str, words: Sequence[str] | None = None) -> NoReturn:
+def run(app: typer.Typer, name: str) -> NoReturn:
     """Run a program to its end: whatever the user got wrong ends in one line on standard error.
 
     Raises:
@@ -37,7 +37,6 @@ def run(app: typer.Typer, name: str, words: Sequence[str] | None = None) -> NoRe
     run_program(
         app,
         name,
-        words,
         endings={RefusedError: Ending(REFUSED, "refused: ")},
         interrupted=Ending(INTERRUPTED, "interrupted; nothing was written"),
     )

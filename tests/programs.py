@@ -4,6 +4,7 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Final, Protocol
+from unittest.mock import patch
 
 import pytest
 
@@ -40,14 +41,18 @@ class ProgramHere(Protocol):
         """The words may be paths and numbers."""
 
 
-def program_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> ProgramHere:
+def exit_code(name: str, *words: object) -> int:
+    """How a program ends that is run in this process, with these words."""
+    with patch.object(sys, "argv", [name, *map(str, words)]), pytest.raises(SystemExit) as ended:
+        import_module(MODULES[name]).main()
+    return int(ended.value.code or 0)
+
+
+def program_here(captured: pytest.CaptureFixture[str]) -> ProgramHere:
     """For the fixture."""
 
     def run(name: str, *words: object) -> EndedProgram:
-        monkeypatch.setattr(sys, "argv", [name, *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            import_module(MODULES[name]).main()
-        said = capsys.readouterr()
-        return EndedProgram(int(ended.value.code or 0), said.out, said.err)
+        code, said = exit_code(name, *words), captured.readouterr()
+        return EndedProgram(code, said.out, said.err)
 
     return run

@@ -2,48 +2,35 @@
 
 import os
 import socket
-import sys
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from companion.cli import main
 from companion.config import CONFIG_FOLDER
-from tests.scenario.flying import FlownCommand, run, scenario_file, started
+from tests.programs import EndedProgram, program_here
+from tests.scenario.flying import run, scenario_file, started
+from tests.unit.link.transport.transport_ends import free_port
 
 DESK = ("--sitl", "--fast", "--no-ui")
-Companion = Callable[..., FlownCommand]
+Companion = Callable[..., EndedProgram]
 
 
 @pytest.fixture
-def companion(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Companion:
-    """The command in this process, which saves the imports of one more."""
-
-    def run_here(*arguments: str | Path) -> FlownCommand:
-        words = tuple(str(argument) for argument in arguments)
-        monkeypatch.setattr(sys, "argv", ["companion", *words])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert isinstance(ended.value.code, int)
-        said = capfd.readouterr()
-        return FlownCommand(words, ended.value.code, said.out, said.err, None)
-
-    return run_here
+def companion(capfd: pytest.CaptureFixture[str]) -> Companion:
+    """The command in this process, with what the processes say that it starts."""
+    return partial(program_here(capfd), "companion")
 
 
-def refused(flown: FlownCommand) -> str:
+def refused(ended: EndedProgram) -> str:
     """The one line of a command that was refused."""
-    assert flown.code == 2, flown
-    assert flown.stdout == "", flown
-    lines = flown.stderr.splitlines()
-    assert len(lines) == 1, flown
-    assert lines[0].startswith("companion: "), flown
-    return lines[0].removeprefix("companion: ")
+    assert ended.refusal.startswith("companion: "), ended
+    return ended.refusal.removeprefix("companion: ").removesuffix("\n")
 
 
 def settings(folder: Path, content: dict[str, Any] | str) -> Path:
@@ -86,10 +73,15 @@ def test_a_folder_that_holds_a_flight_is_not_overwritten(tmp_path: Path, compani
     assert log.read_bytes() == b"the last flight"
 
 
+def own_process(*words: str | Path) -> EndedProgram:
+    done = run(*words)
+    return EndedProgram(done.code, done.stdout, done.stderr)
+
+
 def test_the_command_itself_ends_so(tmp_path: Path) -> None:
-    assert "No such option" in refused(run("--wings"))
+    assert "No such option" in refused(own_process("--wings"))
     impossible = vehicle(tmp_path, "/dev/ptmx", vision={"source": "film"})
-    assert "sense.vision.source: 'film'" in refused(run("--no-ui", "--config", impossible))
+    assert "sense.vision.source: 'film'" in refused(own_process("--no-ui", "--config", impossible))
 
 
 # ---------------------------------------------------------------- settings
@@ -249,11 +241,3 @@ def test_hardware_that_is_missing_is_waited_for_and_said(tmp_path: Path) -> None
         process.terminate()
         assert process.wait(timeout=20.0) == 0
     assert not for_each
-
-
-def free_port() -> int:
-    """A UDP port that nobody has."""
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

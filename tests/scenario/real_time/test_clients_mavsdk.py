@@ -4,9 +4,8 @@ Low and short. MAVSDK listens, as its tutorials have it: the vehicle finds it.
 """
 
 import asyncio
-import socket
 from collections.abc import AsyncIterator, Callable
-from contextlib import aclosing, asynccontextmanager, closing
+from contextlib import aclosing, asynccontextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,19 +21,13 @@ from mavsdk.plugins.offboard import AccelerationNed, Attitude, PositionNedYaw, V
 
 from companion.base.autopilot_kind import AutopilotKind
 from tests.scenario.real_time.serving import serving
+from tests.unit.link.transport.transport_ends import free_port
 
 PATIENCE_S = 60.0  # on a busy machine the vehicle slows down
 HEIGHT_M = 3.0
 RELATIVE_INT, WAYPOINT = 6, 16  # MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, MAV_CMD_NAV_WAYPOINT
 FURTHER_DEG = 4e-5  # 4.4 m of latitude
 SPEED_PARAMETERS: dict[AutopilotKind, str] = {"px4": "MPC_XY_CRUISE", "ardupilot": "WPNAV_SPEED"}
-
-
-def free_port() -> int:
-    """A UDP port that nobody has at the moment."""
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 async def until(stream: Any, holds: Callable[[Any], bool]) -> Any:

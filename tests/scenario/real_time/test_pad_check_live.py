@@ -9,10 +9,11 @@ import pytest
 import yaml
 from pymavlink import mavutil
 
-from companion.cli import main
+from tests.programs import ProgramHere
 from tests.scenario.real_time.hand_held import PATIENCE_S, ROOT, held
 
 FORCE = 21196
+NO_FOLDER = "/nowhere/check.json: expected a file in an existing folder"
 
 
 def arm(connection: str) -> None:
@@ -66,10 +67,10 @@ def test_it_checks_by_the_devices_and_ends_when_the_vehicle_is_armed(tmp_path: P
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (
-            ("--pad", "--json", "/nowhere/check.json"),
-            "--json /nowhere/check.json: expected a file in an existing folder",
-        ),
+        (("--serve", "8080"), "--serve: belongs to --pad"),
+        (("--json", "/nowhere/check.json"), f"--json {NO_FOLDER}"),
+        (("--config", "missing.yaml"), "missing.yaml: cannot be read"),
+        (("--pad", "--json", "/nowhere/check.json"), f"--json {NO_FOLDER}"),
         (("--pad", "--config", "missing.yaml"), "missing.yaml: cannot be read"),
         (("--pad", "--no-link", "--config", "telemetry.yaml"), "--no-link: sense.source is autopilot"),
         (("--pad", "--no-link", "--config", "absent.yaml"), "serial port /nowhere/gps: cannot be opened"),
@@ -80,16 +81,11 @@ def test_what_is_wrong_is_said_in_one_line(
     expected: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    program: ProgramHere,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "telemetry.yaml").write_text("sense: {source: autopilot}\n")
     (tmp_path / "absent.yaml").write_text(
         "sense: {imu: {bus: 'socket:/nowhere/bus'}, gps: {port: /nowhere/gps}}\n"
     )
-    monkeypatch.setattr(sys, "argv", ["companion", "check", *words])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"companion: {expected}")
+    assert program("companion", "check", *words).refusal.startswith(f"companion: {expected}")

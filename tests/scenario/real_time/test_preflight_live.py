@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
-from companion.cli import main
 from companion.config import merge
+from tests.programs import ProgramHere
 from tests.scenario.real_time.hand_held import PATIENCE_S, ROOT, held
 
 Findings = dict[tuple[str, str], dict[str, str]]
@@ -140,40 +140,16 @@ def test_a_line_of_noise_is_reported_from_a_silent_one(tmp_path: Path) -> None:
 
 
 def test_the_result_goes_to_a_file_beside_the_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: ProgramHere
 ) -> None:
     settings, result = tmp_path / "mine.yaml", tmp_path / "check.json"
     settings.write_text("sense: {source: autopilot}\n")
     monkeypatch.setenv("COLUMNS", "200")
-    words = ["--config", str(settings), "--no-link", "--json", str(result), "--record", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", ["companion", "check", *words])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 1
+    words = ("--config", settings, "--no-link", "--json", result, "--record", tmp_path)
+    ended = program("companion", "check", *words)
+    assert ended.code == 1
     detail = json.loads(result.read_text())
     assert detail["state"] == "fail"
-    lines = capsys.readouterr().out.splitlines()
+    lines = ended.out.splitlines()
     assert "not ready to fly: camera: opens; not looked at: " in lines[-1]
     assert any("not checked" in line and "--no-link" in line for line in lines)
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (("--serve", "8080"), "--serve: belongs to --pad"),
-        (
-            ("--json", "/nowhere/check.json"),
-            "--json /nowhere/check.json: expected a file in an existing folder",
-        ),
-        (("--config", "missing.yaml"), "missing.yaml: cannot be read"),
-    ],
-)
-def test_what_is_wrong_is_said_in_one_line(
-    words: tuple[str, ...], expected: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["companion", "check", *words])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"companion: {expected}")

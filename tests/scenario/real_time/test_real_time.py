@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -29,6 +28,7 @@ from tests.scenario.flying import (
     wait_for_line,
 )
 from tests.scenario.real_time.quiet_machine import LATE, beside_lateness, wait_for_quiet
+from tests.waiting import soon
 
 DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")
 END_TIMEOUT_S = 30.0
@@ -168,7 +168,7 @@ def test_the_service_stands_by_lands_when_it_is_ordered_to_and_stands_by_again(t
         service = ("--no-ui", "--config", settings, "--record", flights)
         with started(*service, variables=managed) as process:
             wait_for_line(process, "standby: waiting for an order")
-            wait_until(lambda: healthy(asked), "healthy")
+            assert soon(lambda: healthy(asked), 40.0, 0.3)
             assert run("order", "land", "--socket", asked).code == 1  # it stands on the ground
             ordered = run("order", "fly", "--wait", "--socket", asked)
             after = run("status", "--socket", asked)
@@ -188,11 +188,3 @@ def test_the_service_stands_by_lands_when_it_is_ordered_to_and_stands_by_again(t
 def healthy(asked: Path) -> bool:
     """Whether the running service says that it is well."""
     return run("status", "--socket", asked).code == 0
-
-
-def wait_until(holds: Callable[[], bool], what: str) -> None:
-    """Wait for something that takes a while in real time."""
-    deadline = time.monotonic() + 40.0
-    while not holds():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.3)

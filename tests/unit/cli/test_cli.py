@@ -26,7 +26,7 @@ from companion.sim import process
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import External, Trial
-from tests.programs import ProgramHere
+from tests.programs import MODULES, ProgramHere
 
 
 def test_every_outcome_has_an_exit_code_of_its_own() -> None:
@@ -101,14 +101,6 @@ NOT_FOUND = {
         ["gyro", "--config", "nope.yaml"],
         ["record", "swayed", "--config", "nope.yaml"],
     ],
-}
-MODULES = {
-    "companion": "companion.cli",
-    "companion-sitl": "sitl.cli",
-    "python -m experiments": "experiments.command",
-    "calibrate-camera": "calibration.camera.command",
-    "calibrate-magnetometer": "calibration.magnetometer.command",
-    "calibrate-mount": "calibration.mount.command",
 }
 SCRIPT = """
 import importlib, json, sys

@@ -1,6 +1,5 @@
 """All programs end alike: one line, the right help, no traceback, whatever becomes of the output."""
 
-import importlib
 import os
 import subprocess
 import sys
@@ -13,50 +12,30 @@ from companion import __version__
 from companion.base.clock import sleep_s
 from companion.base.command_line import PIPE_CLOSED, Ending, new_app, run_program
 from companion.config import CONFIG_FOLDER, ConfigError
-
-PROGRAMS = {
-    "companion": "companion.cli",
-    "companion-sitl": "sitl.cli",
-    "python -m experiments": "experiments.command",
-    "calibrate-camera": "calibration.camera.command",
-    "calibrate-magnetometer": "calibration.magnetometer.command",
-    "calibrate-mount": "calibration.mount.command",
-}
+from tests.programs import MODULES, EndedProgram, ProgramHere
 
 
-def run(program: str, *words: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    """The exit code of a program in this process."""
-    monkeypatch.setattr(sys, "argv", [program, *words])
-    with pytest.raises(SystemExit) as ended:
-        importlib.import_module(PROGRAMS[program]).main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
-
-
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_every_program_has_version_help_and_completion(
-    program: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(program, "--version", monkeypatch=monkeypatch) == 0
-    assert capsys.readouterr().out == f"{__version__}\n"
-    assert run(program, "-h", monkeypatch=monkeypatch) == 0
-    short = capsys.readouterr().out
-    assert run(program, "--help", monkeypatch=monkeypatch) == 0
-    assert capsys.readouterr().out == short
+@pytest.mark.parametrize("name", MODULES)
+def test_every_program_has_version_help_and_completion(name: str, program: ProgramHere) -> None:
+    assert program(name, "--version") == EndedProgram(0, f"{__version__}\n", "")
+    ended = program(name, "-h")
+    assert (ended.code, ended) == (0, program(name, "--help"))
+    short = ended.out
     # a shell completes the words of a program, not of a module that Python runs
-    completion = () if program.startswith("python") else ("--install-completion", "--show-completion")
+    completion = () if name.startswith("python") else ("--install-completion", "--show-completion")
     for option in ("-h, --help", "--version", *completion):
         assert option in short
-    assert short.startswith(f"Usage: {program} ")
-    for name in short.partition("\nCommands:\n")[2].split("\n"):
-        if name.startswith("  ") and not name.startswith("   "):
-            assert run(program, name.split()[0], "-h", monkeypatch=monkeypatch) == 0
-            short += capsys.readouterr().out
+    assert short.startswith(f"Usage: {name} ")
+    for line in short.partition("\nCommands:\n")[2].split("\n"):
+        if line.startswith("  ") and not line.startswith("   "):
+            ended = program(name, line.split()[0], "-h")
+            assert ended.code == 0
+            short += ended.out
     assert [line for line in short.splitlines() if len(line) > 80] == []
 
 
 @pytest.mark.parametrize(
-    ("program", "words", "asked"),
+    ("name", "words", "asked"),
     [
         ("companion", ["--wings"], "companion"),
         ("companion", ["pad", "--wings"], "companion pad"),
@@ -71,22 +50,15 @@ def test_every_program_has_version_help_and_completion(
     ],
 )
 def test_a_wrong_option_points_to_the_help_of_its_own_command(
-    program: str,
-    words: list[str],
-    asked: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    name: str, words: list[str], asked: str, program: ProgramHere
 ) -> None:
-    assert run(program, *words, monkeypatch=monkeypatch) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith(f"{program}: ")
-    assert said.err.endswith(f"; see {asked} --help\n")
-    assert said.err.count("\n") == 1
+    said = program(name, *words).refusal
+    assert said.startswith(f"{name}: ")
+    assert said.endswith(f"; see {asked} --help\n")
 
 
 @pytest.mark.parametrize(
-    ("program", "words"),
+    ("name", "words"),
     [
         ("companion", ["--config", "FOLDER"]),
         ("companion", ["detect", "PHOTO", "--config", "FOLDER"]),
@@ -96,29 +68,20 @@ def test_a_wrong_option_points_to_the_help_of_its_own_command(
     ],
 )
 def test_a_folder_where_a_file_is_wanted_is_said(
-    program: str,
-    words: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    name: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: ProgramHere
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("photo.png").touch()
     here = {"FOLDER": ".", "PHOTO": "photo.png"}
-    assert run(program, *(here.get(word, word) for word in words), monkeypatch=monkeypatch) == 2
-    said = capsys.readouterr().err
-    assert "a folder; expected a" in said
-    assert said.count("\n") == 1
+    assert "a folder; expected a" in program(name, *(here.get(word, word) for word in words)).refusal
 
 
 @pytest.mark.parametrize("text", ["[" * 5000, "[" * 100_000, "{a: " * 200 + "}" * 200, "- " * 200])
-def test_a_file_that_is_nested_too_deeply_is_named(
-    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_nested_too_deeply_is_named(text: str, tmp_path: Path, program: ProgramHere) -> None:
     path = tmp_path / "deep.yaml"
     path.write_text(text)
-    assert run("companion", "--config", str(path), monkeypatch=monkeypatch) == 2
-    assert capsys.readouterr().err == f"companion: {path}: nested too deeply; expected settings\n"
+    refusal = program("companion", "--config", path).refusal
+    assert refusal == f"companion: {path}: nested too deeply; expected settings\n"
 
 
 def shell(command: str) -> subprocess.CompletedProcess[str]:

@@ -6,8 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,12 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from typer.testing import CliRunner
 
 from companion.base.message_json import encode
 from companion.base.messages import Frame, ImuSample, Notice
-from companion.cli import cli
-from companion.config import CompanionConfig, ConfigError
+from companion.config import CompanionConfig
 from companion.flightlog import disk, flights_recorder
 from companion.flightlog.disk import DiskWriter
 from companion.flightlog.flights import next_flight_folder, numbered_flights
@@ -29,6 +26,8 @@ from companion.flightlog.log_file import records
 from companion.flightlog.meter import WINDOW_S, Meter
 from companion.flightlog.record import FlightLog
 from companion.flightlog.summary import summary_of
+from tests.programs import ProgramHere
+from tests.waiting import soon
 
 
 def texts(folder: Path) -> list[str]:
@@ -47,14 +46,6 @@ def dates(root: Path) -> list[float | None]:
     return [summary_of(folder).start_unix_s for folder in numbered_flights(root)]
 
 
-def until(holds: Callable[[], bool]) -> None:
-    """Wait for what a thread does."""
-    by_s = time.monotonic() + 10.0
-    while not holds():
-        assert time.monotonic() < by_s
-        time.sleep(0.01)
-
-
 def test_a_clock_that_is_set_after_the_start_dates_the_next_flight(tmp_path: Path) -> None:
     # a Raspberry Pi without a network starts where it was switched off, and may step either way
     clock = iter((1000.0, 1000.0, 1.9e9, 1.8e9))
@@ -62,7 +53,7 @@ def test_a_clock_that_is_set_after_the_start_dates_the_next_flight(tmp_path: Pat
     for time_s in (10.0, 20.0, 30.0):
         tell(log, time_s)
         log.begin()
-        until(lambda: log.flight_folder is not None)
+        assert soon(lambda: log.flight_folder is not None)
         log.end()
     log.close()
     assert [folder.name for folder in numbered_flights(tmp_path)] == [
@@ -80,7 +71,7 @@ def test_each_flight_begins_with_the_minute_before_it(tmp_path: Path) -> None:
         tell(log, float(second))
     assert list(tmp_path.iterdir()) == []
     log.begin()
-    until(lambda: log.flight_folder == tmp_path / "flight-0001")
+    assert soon(lambda: log.flight_folder == tmp_path / "flight-0001")
     tell(log, 100.0)
     log.end()
     tell(log, 150.0)
@@ -108,7 +99,7 @@ def test_the_minute_before_is_written_through_once(tmp_path: Path, monkeypatch: 
     assert len(written) == 2  # each file
     log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     log.begin()
-    until(lambda: log.flight_folder is not None)
+    assert soon(lambda: log.flight_folder is not None)
     for second in range(50):
         tell(log, float(second))
     log.close()
@@ -131,7 +122,7 @@ def test_the_minute_before_is_written_in_slices(tmp_path: Path, monkeypatch: pyt
     for number in range(1000):
         tell(log, 0.05 * number)
     log.begin()
-    until(lambda: log.flight_folder is not None and written[0] == 1000)
+    assert soon(lambda: log.flight_folder is not None and written[0] == 1000)
     log.close()
     slices = [after - before for before, after in pairwise([0, *rests_at, 1000])]
     assert 1e-4 * max(slices) < disk.SLICE_S + 2e-4
@@ -169,7 +160,7 @@ def test_a_card_that_cannot_be_written_is_reported_and_ends_no_flight(tmp_path: 
     log = FlightsRecorder(blocked, lambda: 1.7e9)
     log.begin()
     tell(log, 1.0)
-    until(lambda: "cannot be written" in (log.problem or ""))
+    assert soon(lambda: "cannot be written" in (log.problem or ""))
     log.end()
 
 
@@ -195,7 +186,7 @@ def test_a_card_that_hangs_holds_nobody_up_and_loses_nothing(
     tell(log, 1.0)
     assert (log.flight_folder, log.problem) == (None, None)
     answers.set()
-    until(lambda: log.flight_folder is not None)
+    assert soon(lambda: log.flight_folder is not None)
     tell(log, 2.0)
     log.close()
     assert texts(tmp_path / "flight-0001") == ["at 0", "at 1", "at 2"]
@@ -242,7 +233,7 @@ def test_a_card_that_hangs_in_a_flight_does_not_hold_its_end_up(
     monkeypatch.setattr("os.fsync", hang)
     log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     log.begin()
-    until(lambda: log.flight_folder is not None)
+    assert soon(lambda: log.flight_folder is not None)
     assert hangs.wait(10.0)
     for second in range(20):
         tell(log, float(second))
@@ -266,7 +257,7 @@ def test_no_fault_of_the_opening_reaches_who_writes(tmp_path: Path, monkeypatch:
         patch.setattr("threading.Thread.start", no_thread)
         log.begin()
         tell(log, 1.0)
-        until(lambda: "can't start new thread" in (log.problem or ""))
+        assert soon(lambda: "can't start new thread" in (log.problem or ""))
         log.end()
     log.begin()
     tell(log, 2.0)
@@ -583,30 +574,28 @@ def test_what_comes_before_a_bit_that_flipped_reads_without_an_exception(
         assert 10.0 * place / len(whole) - 2.0 <= max(last_time_s(path), 0.0) < 10.0
 
 
-def test_a_cut_log_is_repaired_beside_it_and_then_every_reader_takes_it(whole: bytes, tmp_path: Path) -> None:
+def test_a_cut_log_is_repaired_beside_it_and_then_every_reader_takes_it(
+    whole: bytes, tmp_path: Path, program: ProgramHere
+) -> None:
     cut = tmp_path / "flight.mcap"
     cut.write_bytes(whole[: len(whole) // 2])
-    result = CliRunner().invoke(cli, ["logs", "repair", str(tmp_path)])
-    assert result.exit_code == 0, result.output
-    assert "cut short" in result.output
+    result = program("companion", "logs", "repair", tmp_path)
+    assert result.code == 0, result
+    assert "cut short" in result.out + result.err
     assert cut.read_bytes() == whole[: len(whole) // 2]
     with (tmp_path / "flight-repaired.mcap").open("rb") as stream:
         messages = [message for _, _, message in make_reader(stream).iter_messages()]
     assert 500 < len(messages) < 2000
-    assert f"{len(messages)} messages over" in result.output
-    again = CliRunner().invoke(cli, ["logs", "repair", str(tmp_path)])
-    assert isinstance(again.exception, ConfigError)
-    assert "exists already" in str(again.exception)
+    assert f"{len(messages)} messages over" in result.out + result.err
+    assert "exists already" in program("companion", "logs", "repair", tmp_path).refusal
 
 
 @pytest.mark.parametrize("content", [b"", b"no log at all", None])
 def test_what_is_no_log_is_reported_in_one_line_and_leaves_nothing(
-    content: bytes | None, tmp_path: Path
+    content: bytes | None, tmp_path: Path, program: ProgramHere
 ) -> None:
     path = tmp_path / "flight.mcap"
     if content is not None:
         path.write_bytes(content)
-    result = CliRunner().invoke(cli, ["logs", "repair", str(path)])
-    assert isinstance(result.exception, ConfigError)
-    assert str(path) in str(result.exception)
+    assert str(path) in program("companion", "logs", "repair", path).refusal
     assert [p.name for p in tmp_path.iterdir()] == ([] if content is None else ["flight.mcap"])

@@ -13,7 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import typer
 import yaml
 from mcap.reader import make_reader
 from pymavlink import mavutil
@@ -30,12 +29,12 @@ from companion.base.messages import (
     Reference,
     VehicleState,
 )
-from companion.cli import cli
 from companion.config import ConfigError
 from companion.flightlog import version
 from companion.flightlog.flights import make_room, next_flight_folder, numbered_flights, recorded_flights
 from companion.flightlog.record import FlightLog, split_packets
 from companion.flightlog.summary import summary_of
+from tests.programs import ProgramHere
 from tests.unit.flightlog.replay.log_files import own_rig
 from tests.unit.flightlog.test_result import pad_at
 
@@ -187,11 +186,6 @@ def _raise_full(*_arguments: object) -> None:
 # Many flights: numbers that sort by time, room for the next, `companion logs` and what it lists.
 
 
-def run(*words: object) -> Any:
-    command = typer.main.get_command(cli)
-    return command.main(args=[str(word) for word in words], prog_name="companion", standalone_mode=False)
-
-
 def record(folder: Path, start_unix_s: float = 1.79e9, last: Phase = Phase.LANDED) -> Path:
     log, rig = FlightLog(folder, start_unix_s), own_rig()
     log.write_settings(config=rig.config, vehicle=rig.vehicle, pad=rig.pad)
@@ -308,9 +302,7 @@ def test_a_removal_that_was_cut_short_is_ended_by_the_next(tmp_path: Path) -> No
 # ---------------------------------------------------------------- the list
 
 
-def test_flights_are_listed_with_date_outcome_error_and_length(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_flights_are_listed_with_date_outcome_error_and_length(tmp_path: Path, program: ProgramHere) -> None:
     record(tmp_path / "flight-0001", 1.7e9)
     cut(record(tmp_path / "flight-0002", 30.0, Phase.ABORT))
     record(tmp_path / "flight-0003", 1.79e9, Phase.ABORT)
@@ -318,8 +310,7 @@ def test_flights_are_listed_with_date_outcome_error_and_length(
     result = {"outcome": "missed", "touchdown": {"lateral_error_m": 1.25}}
     (simulated / "result.json").write_text(json.dumps(result))
     (tmp_path / "latch.json").touch()
-    run("logs", "--record", tmp_path)
-    said = capsys.readouterr()
+    said = program("companion", "logs", "--record", tmp_path)
     assert said.err.split() == ["flight", "began", "time", "off", "the", "pad", "size", "outcome"]
     lines = said.out.splitlines()
     assert [line.split()[0] for line in lines[:4]] == ["flight-0001", "flight-0002", "flight-0003", "circle"]
@@ -354,29 +345,31 @@ def test_a_summary_by_the_index_is_that_of_the_whole_log(tmp_path: Path) -> None
 # ---------------------------------------------------------------- one flight
 
 
-def test_a_flight_is_exported_whole_by_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flight_is_exported_whole_by_its_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: ProgramHere
+) -> None:
     record(tmp_path / "flights" / "flight-0007")
     monkeypatch.chdir(tmp_path)
-    run("logs", "export", "7", "--record", "flights")
+    assert program("companion", "logs", "export", "7", "--record", "flights").code == 0
     with zipfile.ZipFile("flight-0007.zip") as archive:
         assert {name for name in archive.namelist() if not name.endswith("/")} == {
             f"flight-0007/{name}" for name in ("flight.mcap", "flight.tlog", "settings.yaml")
         }
         assert archive.read("flight-0007/flight.mcap") == Path("flights/flight-0007/flight.mcap").read_bytes()
-    with pytest.raises(ConfigError, match=r"flight-0007\.zip: exists already"):
-        run("logs", "export", "flights/flight-0007")
+    again = program("companion", "logs", "export", "flights/flight-0007")
+    assert "flight-0007.zip: exists already" in again.refusal
 
 
 def test_a_flight_is_exported_by_its_name_in_the_list(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: ProgramHere
 ) -> None:
     record(tmp_path / "flights" / "circle")
     monkeypatch.chdir(tmp_path)
-    run("logs", "export", "circle")
+    assert program("companion", "logs", "export", "circle").code == 0
     with zipfile.ZipFile("circle.zip") as archive:
         assert "circle/flight.mcap" in archive.namelist()
     (tmp_path / "circle").mkdir()  # one of that name lies here too: where the flights are was said
-    run("logs", "export", "circle", "--record", "flights", "--output", "second.zip")
+    program("companion", "logs", "export", "circle", "--record", "flights", "--output", "second.zip")
     assert Path("second.zip").stat().st_size == Path("circle.zip").stat().st_size
 
 
@@ -391,12 +384,11 @@ def test_a_flight_is_exported_by_its_name_in_the_list(
     ],
 )
 def test_what_is_wrong_is_reported_in_one_line(
-    words: tuple[str, ...], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: tuple[str, ...], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: ProgramHere
 ) -> None:
     monkeypatch.chdir(tmp_path)
     record(Path("flights/flight-0007"))
-    with pytest.raises(ConfigError, match=told):
-        run("logs", *words)
+    assert told in program("companion", "logs", *words).refusal
 
 
 def test_settings_calibrations_versions_and_revision_lie_in_the_folder(

@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
 
 from companion.base.geometry import IDENTITY, euler_from_quat
 from companion.base.messages import Frame
-from companion.cli import cli
 from companion.config import (
     CameraConfig,
     ConfigError,
@@ -26,6 +24,7 @@ from companion.tools.pads.printing import black_cells
 from companion.tools.pads.run import single_pad
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
+from tests.programs import ProgramHere, exit_code
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
@@ -120,13 +119,13 @@ def test_what_lies_on_a_code_may_not_make_it_illegible() -> None:
 
 
 def test_a_single_marker_is_written_and_printed(tmp_path: Path) -> None:
-    words = ["pad", "single", "--family", "apriltag_36h11", "--id", "3", "--size", "0.4"]
-    assert CliRunner().invoke(cli, [*words, "-o", str(tmp_path / "tag.pdf")]).exit_code == 0
+    words = ("companion", "pad", "single", "--family", "apriltag_36h11", "--id", "3", "--size", "0.4")
+    assert exit_code(*words, "-o", tmp_path / "tag.pdf") == 0
     pad = load_pad(tmp_path / "tag.yaml")
     assert [(m.name, m.side_m, m.group) for m in pad.markers] == [("apriltag_36h11 id 3", 0.4, "F")]
     assert pad.width_m == pytest.approx(0.5)  # a cell of white all around
     assert (tmp_path / "tag.pdf").read_bytes().startswith(b"%PDF")
-    assert CliRunner().invoke(cli, [*words, "-o", str(tmp_path / "alone.yaml")]).exit_code == 0
+    assert exit_code(*words, "-o", tmp_path / "alone.yaml") == 0
     assert {path.name for path in tmp_path.iterdir()} == {"tag.yaml", "tag.pdf", "alone.yaml"}
     assert yaml.safe_load((tmp_path / "alone.yaml").read_text())["markers"][0]["id"] == 3
 
@@ -143,8 +142,5 @@ def test_a_single_marker_is_written_and_printed(tmp_path: Path) -> None:
         (["indoor_400", "--id", "1"], "--family, --id and --size: expected with single"),
     ],
 )
-def test_what_a_user_gets_wrong_is_one_line(words: list[str], said: str) -> None:
-    error = CliRunner().invoke(cli, ["pad", *words]).exception
-    assert isinstance(error, ConfigError)
-    assert said in str(error)
-    assert "\n" not in str(error)
+def test_what_a_user_gets_wrong_is_one_line(words: list[str], said: str, program: ProgramHere) -> None:
+    assert said in program("companion", "pad", *words).refusal

@@ -6,13 +6,11 @@ from typing import Any
 import pytest
 import yaml
 from matplotlib.figure import Figure
-from typer.testing import CliRunner
 
-from companion.cli import cli
-from companion.config import ConfigError
 from companion.plan.speed.fuzzy_rules import load_rules
 from companion.plan.speed.speed_table import load_table
 from companion.tools import fuzzy as plots
+from tests.programs import ProgramHere
 
 FEW = ("--points", "200")
 
@@ -35,31 +33,31 @@ def mine(folder: Path, rules: dict[str, list[str]]) -> Path:
     return path
 
 
-def test_the_shipped_rules_are_shown_checked_and_drawn(tmp_path: Path) -> None:
+def test_the_shipped_rules_are_shown_checked_and_drawn(tmp_path: Path, program: ProgramHere) -> None:
     picture = tmp_path / "fuzzy.png"
-    result = CliRunner().invoke(cli, ["fuzzy", "--plot", str(picture), *FEW])
-    assert result.exit_code == 0
-    assert "bar 1 %: holds" in result.output
-    assert result.output.count(": holds") == 8
+    result = program("companion", "fuzzy", "--plot", picture, *FEW)
+    assert result.code == 0
+    assert "bar 1 %: holds" in result.out
+    assert result.out.count(": holds") == 8
     for word in ("acceleration steady", "rushing", "touching", "creep", "gusts breezy", "sliding", "hazy"):
-        assert word in result.output
+        assert word in result.out
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_table_is_written_and_belongs_to_its_rules(tmp_path: Path) -> None:
+def test_a_table_is_written_and_belongs_to_its_rules(tmp_path: Path, program: ProgramHere) -> None:
     path = mine(tmp_path, RULES)
-    result = CliRunner().invoke(cli, ["fuzzy", str(path), "--write-table", *FEW])
-    assert result.exit_code == 0
-    assert str(path.with_suffix(".table.json")) in result.output
+    result = program("companion", "fuzzy", path, "--write-table", *FEW)
+    assert result.code == 0
+    assert str(path.with_suffix(".table.json")) in result.out
     assert load_table(path)[1] == "stored"
 
 
-def test_rules_that_rush_are_reported_and_fail(tmp_path: Path) -> None:
+def test_rules_that_rush_are_reported_and_fail(tmp_path: Path, program: ProgramHere) -> None:
     rushed = {distance: row[::-1] for distance, row in RULES.items()}
-    result = CliRunner().invoke(cli, ["fuzzy", str(mine(tmp_path, rushed)), *FEW])
-    assert result.exit_code == 1
-    assert "no stored table for these rules" in result.output
-    assert "never faster when already closing faster: BROKEN, by up to" in result.output
+    result = program("companion", "fuzzy", mine(tmp_path, rushed), *FEW)
+    assert result.code == 1
+    assert "no stored table for these rules" in result.out
+    assert "never faster when already closing faster: BROKEN, by up to" in result.out
 
 
 @pytest.mark.parametrize(
@@ -73,11 +71,8 @@ def test_rules_that_rush_are_reported_and_fail(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_a_user_gets_wrong_is_one_line(words: list[str], said: str) -> None:
-    error = CliRunner().invoke(cli, ["fuzzy", *words, *FEW]).exception
-    assert isinstance(error, ConfigError)
-    assert str(error).startswith(said)
-    assert "\n" not in str(error)
+def test_what_a_user_gets_wrong_is_one_line(words: list[str], said: str, program: ProgramHere) -> None:
+    assert program("companion", "fuzzy", *words, *FEW).refusal.startswith(f"companion: {said}")
 
 
 # ---------------- The fuzzy speed controller's picture: no label of it is cut off

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,12 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.camera import NAME
 from calibration.camera.board import CalibrationBoard, board_yaml
-from calibration.camera.command import app
-from calibration.command_line import run
 from companion.base.messages import Frame
 from companion.config import CONFIG_FOLDER, CameraConfig, ConfigError, find_file, load_model
 from companion.sense.camera.source import open_camera
 from sitl.devices.socket_servers import FrameServer
+from tests.programs import exit_code
 from tests.unit.calibration.camera.board_pictures import BoardPainter, hand_held_poses, tour_poses
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
@@ -26,6 +25,7 @@ BOARD = load_model(CalibrationBoard, find_file("boards", "charuco_a4"))
 CHESSBOARD = CalibrationBoard(pattern="chessboard", columns=6, rows=4, square_m=0.034)
 PHOTOS = CONFIG_FOLDER.parent.parent / "shared" / "data" / "aruco"
 FRAMES_A_POSE = 7
+ended = partial(exit_code, "calibrate-camera")
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +42,6 @@ def photos(pictures: list[np.ndarray], tmp_path_factory: pytest.TempPathFactory)
     for number, image in enumerate(pictures):
         cv2.imwrite(str(folder / f"img_{number}.png"), image)
     return folder
-
-
-def ended(*words: str | Path) -> int:
-    with pytest.raises(SystemExit) as ending:
-        run(app, NAME, [str(word) for word in words])
-    code = ending.value.code
-    assert isinstance(code, int)
-    return code
 
 
 def told(capsys: pytest.CaptureFixture[str]) -> str:

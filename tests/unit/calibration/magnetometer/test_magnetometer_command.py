@@ -1,21 +1,23 @@
 """`calibrate-magnetometer` end to end from files: what it writes, what it refuses, what it tells."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from calibration.command_line import run
-from calibration.magnetometer import PROGRAM, command, job
+from calibration.magnetometer import job
 from companion.base.geometry import FloatArray
 from companion.base.magnetic_field import field_ned_ut
 from companion.config import ConfigError, load_model
 from companion.config.magnetometer import MagnetometerCalibration
+from tests.programs import ProgramHere, exit_code
 from tests.unit.calibration.magnetometer.magnetometer_truth import FIELD_UT, turned
 
 CASE = turned(11, samples=1500)
 ZURICH = "47.4,8.55,430"
+calibrate = partial(exit_code, "calibrate-magnetometer")
 
 
 @pytest.fixture(autouse=True)
@@ -27,13 +29,6 @@ def csv(name: str, raw: FloatArray, force: FloatArray | None = None) -> str:
     heading, rows = ("mx,my,mz", raw) if force is None else ("mx,my,mz,ax,ay,az", np.hstack([raw, force]))
     np.savetxt(name, rows, delimiter=",", header=heading, comments="", fmt="%.4f")
     return name
-
-
-def calibrate(*words: str) -> int:
-    with pytest.raises(SystemExit) as ended:
-        run(command.cli, PROGRAM, words)
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
 
 
 def test_a_recording_becomes_a_file_a_picture_and_a_table(capsys: pytest.CaptureFixture[str]) -> None:
@@ -153,18 +148,15 @@ def test_a_picture_that_cannot_be_written_does_not_cost_the_calibration(
     ],
 )
 def test_what_a_user_can_mend_is_one_line(
-    words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], expected: str, program: ProgramHere
 ) -> None:
     csv("a.csv", CASE.raw[:60])
-    assert calibrate(*words) == 2
-    told = capsys.readouterr().err
+    told = program("calibrate-magnetometer", *words).refusal
     assert expected in told
     assert told.startswith("calibrate-magnetometer: ")
-    assert told.count("\n") == 1
 
 
-def test_help_has_examples(capsys: pytest.CaptureFixture[str]) -> None:
-    assert calibrate("--help") == 0
-    shown = capsys.readouterr().out
+def test_help_has_examples(program: ProgramHere) -> None:
+    shown = program("calibrate-magnetometer", "--help").out
     assert "calibrate-magnetometer turns.csv --unit mG" in shown
     assert "Exit codes" in shown

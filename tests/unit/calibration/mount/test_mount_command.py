@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.command_line import run
-from calibration.mount import NAME, record_motion
-from calibration.mount.command import cli
+from calibration.mount import record_motion
 from calibration.mount.imu_calibration import calibrate_accelerometer, faces_from
 from calibration.mount.record_motion import MotionCoverage, MotionProgress
 from calibration.mount.recording import read_recording
@@ -36,16 +34,10 @@ from companion.config import (
 from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
 from companion.sense.vision.pipeline import body_from_camera
+from tests.programs import ProgramHere, exit_code
 from tests.unit.calibration.mount.mount_world import HandHeld, record_sway, scenario_of
 
-
-def calibrate(*words: str | Path) -> int:
-    """Run the program; its exit code."""
-    with pytest.raises(SystemExit) as ended:
-        run(cli, NAME, [str(word) for word in words])
-    code = ended.value.code
-    assert isinstance(code, int)
-    return code
+calibrate = partial(exit_code, "calibrate-mount")
 
 
 # ----------------
@@ -199,26 +191,21 @@ def test_what_a_user_can_mend_is_one_line(
     line: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    program: ProgramHere,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "README.md").write_text("nothing")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "flight.mcap").write_bytes(b"")
     hold_still(monkeypatch, "record_motion")
-    assert calibrate(*words) == 2
-    told = capsys.readouterr().err
-    assert line in told
-    assert told.count("\n") == 1
+    assert line in program("calibrate-mount", *words).refusal
 
 
-def test_an_autopilot_s_samples_come_by_a_flight_s_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_autopilot_s_samples_come_by_a_flight_s_log(tmp_path: Path, program: ProgramHere) -> None:
     settings = tmp_path / "mine.yaml"
     settings.write_text("sense: {source: autopilot}\n")
-    assert calibrate("record", tmp_path / "new", "--config", settings) == 2
-    assert "expected those or the log of a flight over the pad" in capsys.readouterr().err
+    told = program("calibrate-mount", "record", tmp_path / "new", "--config", settings).refusal
+    assert "expected those or the log of a flight over the pad" in told
 
 
 def test_an_interrupted_recording_leaves_nothing(
@@ -288,40 +275,31 @@ def test_the_output_s_folder_is_looked_for_before_the_work(
 # ---------------- What `calibrate-mount` asks for next, and how a recording ends that lacks something
 
 
+SIGHTING = PadSighting(0.0, 1, (0.0, 0.0, 1.0), IDENTITY, np.eye(6), "M", (1,), {"F": 0, "M": 1, "C": 0}, 0.1)
+
+
 def test_the_coverage_asks_for_what_is_missing() -> None:
     coverage = MotionCoverage()
     assert coverage.progress().advice == "waiting for the inertial sensor"
     coverage.add_imu(ImuSample(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 20.0))
     assert "pad is not seen" in coverage.progress().advice
-    sighting = PadSighting(
-        0.0, 1, (0.0, 0.0, 1.0), IDENTITY, np.eye(6), "M", (1,), {"F": 0, "M": 1, "C": 0}, 0.1
-    )
-    move(coverage, sighting, 0.0, 15.0, (0.0, 0.5, 0.5))
+    move(coverage, 0.0, 15.0, (0.0, 0.5, 0.5))
     assert coverage.progress().advice == "roll it left and right"
-    move(coverage, sighting, 15.0, 36.0, (0.4, 0.0, 0.0))
+    move(coverage, 15.0, 36.0, (0.4, 0.0, 0.0))
     assert coverage.progress().advice == "enough"
     assert coverage.progress().complete
 
 
 def test_slow_motion_is_not_enough() -> None:
     coverage = MotionCoverage()
-    sighting = PadSighting(
-        0.0, 1, (0.0, 0.0, 1.0), IDENTITY, np.eye(6), "M", (1,), {"F": 0, "M": 1, "C": 0}, 0.1
-    )
-    move(coverage, sighting, 0.0, 40.0, (0.2, 0.2, 0.2))
+    move(coverage, 0.0, 40.0, (0.2, 0.2, 0.2))
     assert coverage.progress().advice == "the same again, more quickly"
 
 
-def move(
-    coverage: MotionCoverage,
-    sighting: PadSighting,
-    from_s: float,
-    to_s: float,
-    rate: tuple[float, float, float],
-) -> None:
+def move(coverage: MotionCoverage, from_s: float, to_s: float, rate: tuple[float, float, float]) -> None:
     for k in range(round(50 * (to_s - from_s))):
         time_s = from_s + k / 50.0
-        coverage.add_sighting(replace(sighting, time_s=time_s))
+        coverage.add_sighting(replace(SIGHTING, time_s=time_s))
         coverage.add_imu(ImuSample(time_s, rate, (0.0, 0.0, -9.8), 20.0))
 
 

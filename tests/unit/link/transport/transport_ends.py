@@ -1,4 +1,4 @@
-"""Reading from transports, and free ports for them."""
+"""A free port for a transport."""
 
 import socket
 

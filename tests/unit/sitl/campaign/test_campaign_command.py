@@ -5,8 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -21,10 +20,11 @@ from sitl.campaign.plots import write_plots
 from sitl.campaign.rows import CSV_NAME, RunsFile, read_rows
 from sitl.campaign.run import INTERRUPTED, CampaignMeter, Options, run_campaign
 from sitl.campaign.worker import RunResult, Worker, fly_locally
-from sitl.cli import main
-from tests.programs import ProgramHere
+from tests.programs import ProgramHere, exit_code
+from tests.scenario.flying import alive
 from tests.unit.sitl.campaign.campaign_parts import PLOTS, row, scenario_file
 from tests.unit.sitl.campaign.fake_flights import COMMAND, DIES, HANGS, IS_REFUSED, MISSES
+from tests.waiting import soon
 
 
 def options(
@@ -234,9 +234,7 @@ def test_the_words_of_the_command_are_taken(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(running, "run_campaign", take)
     for words in ("--scenarios line circle --runs 3 --bars", "--quiet --first-seed 7"):
-        with pytest.raises(SystemExit) as ended:
-            main(["campaign", *words.split()])
-        assert not ended.value.code
+        assert exit_code("companion-sitl", "campaign", *words.split()) == 0
     first, second = taken
     assert (first.sources, first.runs, first.bars, first.folder) == (("line", "circle"), 3, True, None)
     assert first.jobs == len(os.sched_getaffinity(0))
@@ -271,27 +269,13 @@ def started(folder: Path, *words: str) -> subprocess.Popen[str]:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - no threads here
     )
     path = folder / CSV_NAME
-    wait(lambda: path.exists() and path.read_text().count("\n") == 23)
+    assert soon(lambda: path.exists() and path.read_text().count("\n") == 23, 60.0)
     return process
-
-
-def wait(until: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    end_s = time.monotonic() + timeout_s
-    while not until():
-        assert time.monotonic() < end_s, "it did not come"
-        time.sleep(0.02)
 
 
 def workers_of(process: subprocess.Popen[str]) -> list[int]:
     tasks = Path(f"/proc/{process.pid}/task").iterdir()
     return [int(pid) for task in tasks for pid in (task / "children").read_text().split()]
-
-
-def gone(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
 
 
 def test_killed_it_has_lost_nothing_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -331,4 +315,4 @@ def test_interrupted_it_ends_cleanly_and_says_how_to_go_on(number: signal.Signal
     )
     assert "Traceback" not in text
     assert len(seeds(tmp_path)) == 22
-    assert all(gone(pid) for pid in workers)
+    assert not any(alive(pid) for pid in workers)

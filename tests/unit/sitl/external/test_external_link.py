@@ -26,6 +26,7 @@ from sitl.external.link import check_connection, open_link, open_relay, pump
 from sitl.external.pose import LONGEST_GUESS_S, Pose, PoseTrack
 from sitl.run.process_control import read_report
 from tests.programs import ProgramHere
+from tests.unit.link.transport.transport_ends import free_port
 from tests.unit.sitl.external.external_bench import Player
 from tests.unit.sitl.external.external_vehicle import GROUND, LEVEL, PX4, hil_state, sim_state
 
@@ -164,12 +165,6 @@ def bound_socket() -> Iterator[socket.socket]:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as bound:
         bound.bind(("127.0.0.1", 0))
         yield bound
-
-
-def free_port() -> int:
-    with bound_socket() as finder:
-        number: int = finder.getsockname()[1]
-        return number
 
 
 async def test_as_a_process_it_serves_and_judges(tmp_path: Path) -> None:

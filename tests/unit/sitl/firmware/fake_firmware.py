@@ -2,8 +2,7 @@
 
 import json
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,8 @@ from sitl.scenario.scenario import AirframeConfig
 from sitl.sensors.autopilot_sensors import Field, Fix, ImuReading, SimulatedAutopilotSensors
 from sitl.sensors.sensors import GpsReading
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
+from tests.scenario.flying import alive
+from tests.waiting import soon
 
 SOURCE = Path(__file__).with_name("fake_program.py")
 HOME: Vector3 = (47.0, 8.0, 400.0)
@@ -42,7 +43,6 @@ DEFAULTS: dict[str, Any] = {
     "ends_after": None,  # -1: at once
     "status": 3,
 }
-SOON_S = 20.0  # on a busy machine
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Fake:
     def is_gone(self) -> bool:
         """Whether no process and no temporary folder is left of it, which a moment later may still be."""
         started = [json.loads(self._beside(i, "started").read_text()) for i in self.instances]
-        return soon(lambda: not any(runs(told["pid"]) or Path(told["folder"]).exists() for told in started))
+        return soon(lambda: not any(alive(told["pid"]) or Path(told["folder"]).exists() for told in started))
 
     @property
     def sensors(self) -> list[Any]:
@@ -156,24 +156,6 @@ def messages(data: bytes) -> list[Any]:
     """MAVLink out of bytes."""
     decoder = mavlink.MAVLink(None)
     return [decoder.decode(bytearray(frame.data)) for frame in FrameReader().read(data, 0.0)]
-
-
-def soon(is_so: Callable[[], bool]) -> bool:
-    """Whether something comes true before long."""
-    late_s = time.monotonic() + SOON_S
-    while not is_so():
-        if time.monotonic() > late_s:
-            return False
-        time.sleep(0.01)
-    return True
-
-
-def runs(pid: int) -> bool:
-    """Whether a process is there and no zombie."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def open_files() -> int:

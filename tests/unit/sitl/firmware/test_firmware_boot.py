@@ -25,7 +25,9 @@ from sitl.scenario.scenario import BeaconSettings, load_scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import RotorValues
 from sitl.world.world import World
-from tests.unit.sitl.firmware.fake_firmware import HOME, STEP_S, Fake, fake, runs, sensors_at_rest, soon
+from tests.scenario.flying import alive
+from tests.unit.sitl.firmware.fake_firmware import HOME, STEP_S, Fake, fake, sensors_at_rest
+from tests.waiting import soon
 
 
 @pytest.fixture(autouse=True)
@@ -199,8 +201,8 @@ def test_what_it_has_started_ends_with_it(tmp_path: Path) -> None:
         child.start(["/bin/sh", "-c", "sleep 60 & echo $!; wait"], os.environ)
         assert soon(lambda: child.last_words().isdecimal())
         pid = int(child.last_words())
-        assert runs(pid)
-    assert soon(lambda: not runs(pid))
+        assert alive(pid)
+    assert soon(lambda: not alive(pid))
     assert not child.folder.exists()
 
 
@@ -216,9 +218,9 @@ time.sleep(60)
     with subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, text=True) as killed:
         assert killed.stdout is not None
         pid, folder = killed.stdout.readline().split()
-        assert runs(int(pid))
+        assert alive(int(pid))
         killed.kill()
-    assert soon(lambda: not runs(int(pid)) and not Path(folder).exists())
+    assert soon(lambda: not alive(int(pid)) and not Path(folder).exists())
 
 
 def test_one_that_was_killed_is_reported_of_by_the_signal() -> None:

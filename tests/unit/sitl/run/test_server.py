@@ -6,7 +6,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ import pytest
 from companion.config import CONFIG_FOLDER, load_config
 from sitl.run.process_control import read_report
 from tests.programs import ProgramHere
+from tests.waiting import soon
 
 COMMAND = (sys.executable, "-m", "sitl.cli")
 FREE_PORTS = ("--port", "0", "--gcs-port", "0", "--tcp-port", "0")
@@ -108,9 +108,7 @@ def test_terminated_while_it_starts_it_leaves_nothing(short_path: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     ) as process:
-        until = time.monotonic() + 20.0
-        while not list(short_path.glob("companion-sitl-*")) and time.monotonic() < until:
-            time.sleep(0.01)
+        soon(lambda: list(short_path.glob("companion-sitl-*")))
         process.terminate()
         _, errors = process.communicate(timeout=20.0)
     assert not list(short_path.iterdir())

@@ -27,6 +27,7 @@ from companion.tools.detect import send as module
 from companion.tools.detect.run import PadFinder, detect_all
 from companion.tools.detect.send import TargetLink
 from tests.unit.tools.detect.test_detect import picture
+from tests.waiting import soon
 
 PAD = load_pad("moving_1300")
 ASKING = {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
@@ -101,7 +102,7 @@ def test_a_picture_with_the_pad_is_a_target(kind: AutopilotKind, tmp_path: Path)
     with flying(kind) as autopilot:
         with link(autopilot.port).opened() as opened:
             assert detect_all([photo(tmp_path)], finder(), None, opened.send)
-            wait_for(lambda: bool(autopilot.targets()))
+            assert soon(autopilot.targets)
         (target,) = autopilot.targets()
         # the camera is 2 m above the pad, and 0.3 m ahead of it
         away = (target.x, target.y, target.z)
@@ -110,13 +111,6 @@ def test_a_picture_with_the_pad_is_a_target(kind: AutopilotKind, tmp_path: Path)
         for m in autopilot.heard:
             harmless = m.get_type() in {"HEARTBEAT", "TIMESYNC", "LANDING_TARGET"}
             assert harmless or m.command in ASKING
-
-
-def wait_for(holds: Any) -> None:
-    for _ in range(300):
-        if holds():
-            return
-        time.sleep(0.01)
 
 
 def test_what_keeps_it_from_being_sent_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

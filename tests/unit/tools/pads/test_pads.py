@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from companion.base.geometry import (
     FloatArray,
@@ -20,11 +19,9 @@ from companion.base.geometry import (
 )
 from companion.base.messages import Frame, PadPrior
 from companion.base.printing.page import PNG_DPI, save
-from companion.cli import cli
 from companion.config import (
     CONFIG_FOLDER,
     CameraConfig,
-    ConfigError,
     VehicleConfig,
     VisionConfig,
     find_file,
@@ -46,6 +43,7 @@ from companion.tools.pads.printing import Tile, clip, draw_pad, place_labels, ti
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from tests.printed_pages import PX_PER_MM, Printed, read_pdf, read_svg
+from tests.programs import ProgramHere
 
 BOARD = (0.0, 0.0, -0.1)
 
@@ -164,10 +162,10 @@ markers:
 """
 
 
-def test_a_good_pad_is_reported_in_a_few_lines() -> None:
-    result = CliRunner().invoke(cli, ["pad", "indoor_400"])
-    assert result.exit_code == 0
-    assert result.output.splitlines() == [
+def test_a_good_pad_is_reported_in_a_few_lines(program: ProgramHere) -> None:
+    result = program("companion", "pad", "indoor_400")
+    assert result.code == 0
+    assert result.out.splitlines() == [
         "indoor_400: 400 x 400 mm, 57 markers, good",
         "  F: 4 x 120 mm, 4x4_50",
         "  M: 4 x 56 mm, 4x4_50",
@@ -176,22 +174,22 @@ def test_a_good_pad_is_reported_in_a_few_lines() -> None:
     ]
 
 
-def test_another_paper_takes_the_place_of_the_pad_s_own(tmp_path: Path) -> None:
-    result = CliRunner().invoke(cli, ["pad", "indoor_400", "--paper", "a3", "-o", str(tmp_path / "pad.svg")])
-    assert result.exit_code == 0
-    assert "2 sheets of 420 x 297 mm (a3)" in result.output
+def test_another_paper_takes_the_place_of_the_pad_s_own(tmp_path: Path, program: ProgramHere) -> None:
+    result = program("companion", "pad", "indoor_400", "--paper", "a3", "-o", tmp_path / "pad.svg")
+    assert result.code == 0
+    assert "2 sheets of 420 x 297 mm (a3)" in result.out
     # two sheets and the plan, one to a file
     assert sorted(path.name for path in tmp_path.iterdir()) == ["pad-1.svg", "pad-2.svg", "pad-3.svg"]
 
 
-def test_the_coverage_is_reported_and_drawn(tmp_path: Path) -> None:
+def test_the_coverage_is_reported_and_drawn(tmp_path: Path, program: ProgramHere) -> None:
     picture = tmp_path / "coverage.png"
     words = ["pad", "indoor_400", "--coverage", "--camera", "hd_1280x720", "--offset", "0.01"]
-    result = CliRunner().invoke(cli, [*words, "-o", str(picture)])
-    assert result.exit_code == 0
-    assert "predicted recall (%)" in result.output
-    assert "hd_1280x720, 1 cm and 5 % of the height off the middle" in result.output
-    assert "blind height: " in result.output
+    result = program("companion", *words, "-o", picture)
+    assert result.code == 0
+    assert "predicted recall (%)" in result.out
+    assert "hd_1280x720, 1 cm and 5 % of the height off the middle" in result.out
+    assert "blind height: " in result.out
     assert cv2.imread(str(picture)) is not None
 
 
@@ -209,7 +207,7 @@ def test_the_coverage_is_reported_and_drawn(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_user_gets_wrong_is_one_line(
-    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: ProgramHere
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.yaml").write_text(BAD)
@@ -217,10 +215,9 @@ def test_what_a_user_gets_wrong_is_one_line(
     (tmp_path / "whole.yaml").write_text(
         shipped.replace("{paper: large,", "{whole_markers: true, paper: large,")
     )
-    error = CliRunner().invoke(cli, ["pad", *words]).exception
-    assert isinstance(error, ConfigError)
-    assert str(error).startswith(said)
-    assert "\n" not in str(error)
+    ended = program("companion", "pad", *words)
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert ended.err.startswith(f"companion: {said}")
     assert [path.name for path in tmp_path.iterdir() if path.suffix != ".yaml"] == []
 
 
