@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import errno
 import math
-from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
@@ -312,6 +311,7 @@ async def test_a_spike_of_the_autopilots_rangefinder_is_kept_out_as_one_of_our_o
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
 PAD = load_pad("moving_1300")
+ABOVE_IT = ScenePose((0.0, 0.0, -2.3), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -0.3), 0.0)
 LOST_S, FOUND_S = 1.0, 2.5
 
 
@@ -337,7 +337,7 @@ async def test_the_pad_is_seen_again_and_people_are_reported_when_the_camera_com
         samples,
         lambda kind, text, severity: told.append((clock.now_s(), kind, text, severity)),
     )
-    tasks = [asyncio.create_task(run(work)) for work in sensing.tasks().values()]
+    tasks = [asyncio.ensure_future(work()) for work in sensing.tasks().values()]
     for time_s in (0.9, 1.5, 4.5):
         await clock.sleep_until(time_s)
         problems[time_s] = sensing.camera_problem
@@ -366,8 +366,7 @@ class FrozenPicture:
         self._image = self._render(0.0)
 
     def _render(self, time_s: float) -> np.ndarray:
-        still = ScenePose((0.0, 0.0, -2.3), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -0.3), 0.0)
-        return self._model.render(time_s, lambda _: still)
+        return self._model.render(time_s, lambda _: ABOVE_IT)
 
     async def next(self) -> Frame:
         await asyncio.sleep(1.0 / 30.0)
@@ -385,7 +384,7 @@ async def test_a_picture_that_stands_still_with_new_stamps_is_no_sighting() -> N
     told, samples = list[str](), RecentSamples()
     frozen = FrozenPicture(frozen_from_s=1.0)
     sensing = vision_task(frozen, samples, lambda _kind, text, _severity: told.append(text))
-    task = asyncio.create_task(run(sensing.tasks()["camera"]))
+    task = asyncio.ensure_future(sensing.tasks()["camera"]())
     await Clock().sleep_until(2.0)
     task.cancel()
     times = [sighting.time_s for sighting in samples.sightings]
@@ -400,7 +399,7 @@ async def test_before_take_off_a_look_at_the_pad_now_and_then_is_enough() -> Non
     clock = Clock()
     sensing = vision_task(FrozenPicture(frozen_from_s=math.inf), samples, lambda *_: None)
     sensing.on_ground = lambda: clock.now_s() < 2.0
-    task = asyncio.create_task(run(sensing.tasks()["camera"]))
+    task = asyncio.ensure_future(sensing.tasks()["camera"]())
     for time_s in (2.0, 4.0):
         await clock.sleep_until(time_s)
         counts.append(sensing.frame_count)
@@ -428,17 +427,10 @@ async def test_while_it_is_neither_seen_nor_expected_the_pad_is_looked_for_less_
             return PadPrior(time_s, (0.0, 0.0, 1.0), (0.0, 0.0, 5.0) if expected else None)
 
     clock = Clock()
-    sensing = Sensing(
-        CompanionConfig(),
-        Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=math.inf)),
-        Blind(),
-        Expecting(),
-        clock=clock,
-        log=FlightLog(None, start_unix_s=0.0),
-        notify=lambda _kind, _text, _severity: None,
-    )
+    frames = FrozenPicture(frozen_from_s=math.inf)
+    sensing = vision_task(frames, Expecting(), lambda *_: None, vision=Blind())
     sensing.on_ground = lambda: False
-    task = asyncio.create_task(run(sensing.tasks()["camera"]))
+    task = asyncio.ensure_future(sensing.tasks()["camera"]())
     await clock.sleep_until(1.0)
     task.cancel()
     apart_s = np.diff(looks)
@@ -447,20 +439,15 @@ async def test_while_it_is_neither_seen_nor_expected_the_pad_is_looked_for_less_
     assert apart_s.max() < 0.1
 
 
-async def run(work: Callable[[], Awaitable[None]]) -> None:
-    await work()
-
-
 def over_the_pad(*, unplugged_from_s: float, until_s: float) -> KeptCamera:
     """A camera two metres over the pad that is unplugged for a while."""
     model = CameraModel(CAMERA, VEHICLE, PAD, ImagingSettings(), np.random.default_rng(5))
-    still = ScenePose((0.0, 0.0, -2.3), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -0.3), 0.0)
     clock = Clock()
 
     def show(frame: Frame) -> Frame:
         if unplugged_from_s <= clock.now_s() < until_s:
             raise OSError("unplugged")
-        return replace(frame, image=model.render(frame.time_s, lambda _: still))
+        return replace(frame, image=model.render(frame.time_s, lambda _: ABOVE_IT))
 
     async def open_it() -> LiveSource:
         if unplugged_from_s <= clock.now_s() < until_s:

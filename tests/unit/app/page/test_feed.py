@@ -47,17 +47,7 @@ def report(time_s: float, sequence: int, *, seen: bool) -> FrameReport:
 
 
 def sighting(sequence: int) -> PadSighting:
-    return PadSighting(
-        1.0,
-        sequence,
-        SIGHTING.pad_position_body_m,
-        SIGHTING.body_from_pad,
-        SIGHTING.covariance,
-        SIGHTING.group,
-        SIGHTING.marker_ids,
-        SIGHTING.marker_count,
-        0.2,
-    )
+    return replace(SIGHTING, time_s=1.0, sequence=sequence)
 
 
 def show(feed: LiveFeed, time_s: float, sequence: int, *, seen: bool = True) -> None:

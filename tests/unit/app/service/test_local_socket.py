@@ -303,11 +303,6 @@ def test_where_the_kernel_names_no_sockets_none_listens_elsewhere(
     assert local_socket.listening_elsewhere(tmp_path) == []
 
 
-def test_without_a_service_it_is_said_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="expected a running companion"):
-        status_command(False, False, tmp_path / "nothing")
-
-
 @pytest.mark.parametrize(
     "answer",
     [

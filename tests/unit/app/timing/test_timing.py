@@ -26,7 +26,7 @@ from companion.app.pacing import (
     VisionPace,
 )
 from companion.app.stages import EstimateWatch
-from companion.base.clock import HAND_OVER_S, Clock, run_in_virtual_time
+from companion.base.clock import HAND_OVER_S, Clock
 from companion.base.messages import (
     UNKNOWN_TIMEOUT_S,
     AutopilotSetup,
@@ -39,6 +39,7 @@ from companion.config import LinkConfig
 from companion.estimate.input_tally import InputTally
 from companion.link.session import Session
 from companion.plan.inputs import ComputerLoad
+from tests.virtual_time import in_virtual_time
 
 PERIOD_S = 1.0 / 30.0
 LONGEST_S = (1.0 + EARLIEST + LATEST) * PERIOD_S
@@ -46,36 +47,33 @@ SHORTEST_S = (1.0 - EARLIEST - LATEST) * PERIOD_S
 WARM = 3 * INTERVALS  # cycles until frames are followed
 
 
-def cycles(
+@in_virtual_time
+async def cycles(
     frames_s: Iterable[float], until_s: float = 5.0, work_s: float = 0.003
 ) -> tuple[list[float], list[float], list[float]]:
     """When cycles began, how old the newest frame was then, and how late they were (s)."""
+    clock = Clock()
+    timer = ControlTimer(clock, PERIOD_S)
+    fused_s = float("nan")
 
-    async def main() -> tuple[list[float], list[float], list[float]]:
-        clock = Clock()
-        timer = ControlTimer(clock, PERIOD_S)
-        fused_s = float("nan")
+    async def camera() -> None:
+        nonlocal fused_s
+        for frame_s in frames_s:
+            await clock.sleep_until(frame_s)
+            fused_s = clock.now_s()
+            timer.frame_fused()
 
-        async def camera() -> None:
-            nonlocal fused_s
-            for frame_s in frames_s:
-                await clock.sleep_until(frame_s)
-                fused_s = clock.now_s()
-                timer.frame_fused()
-
-        sees = asyncio.create_task(camera())
-        began_s, ages_s, late_s = [], [], []
-        timer.restart()
-        while clock.now_s() < until_s:
-            began_s.append(clock.now_s())
-            ages_s.append(clock.now_s() - fused_s)
-            late_s.append(timer.late_s)
-            await asyncio.sleep(work_s)
-            await timer.next_cycle()
-        sees.cancel()
-        return began_s, ages_s, late_s
-
-    return run_in_virtual_time(main())
+    sees = asyncio.create_task(camera())
+    began_s, ages_s, late_s = [], [], []
+    timer.restart()
+    while clock.now_s() < until_s:
+        began_s.append(clock.now_s())
+        ages_s.append(clock.now_s() - fused_s)
+        late_s.append(timer.late_s)
+        await asyncio.sleep(work_s)
+        await timer.next_cycle()
+    sees.cancel()
+    return began_s, ages_s, late_s
 
 
 def frames(interval_s: float, first_s: float = 0.0, count: int = 1000) -> list[float]:
@@ -145,17 +143,15 @@ def test_whatever_frames_do_a_cycle_comes_within_bounds(make: Callable[[np.rando
     assert max(periods(began_s)) <= LONGEST_S + 1e-6
 
 
-def test_a_cycle_that_took_too_long_says_how_late_the_next_one_is() -> None:
-    async def main() -> None:
-        clock = Clock()
-        timer = ControlTimer(clock, PERIOD_S)
-        await asyncio.sleep(1.0)
-        await timer.next_cycle()
-        assert timer.late_s == pytest.approx(1.0 - PERIOD_S)
-        timer.restart()
-        assert timer.late_s == 0.0
-
-    run_in_virtual_time(main())
+@in_virtual_time
+async def test_a_cycle_that_took_too_long_says_how_late_the_next_one_is() -> None:
+    clock = Clock()
+    timer = ControlTimer(clock, PERIOD_S)
+    await asyncio.sleep(1.0)
+    await timer.next_cycle()
+    assert timer.late_s == pytest.approx(1.0 - PERIOD_S)
+    timer.restart()
+    assert timer.late_s == 0.0
 
 
 # ---------------- The estimate starts again on the ground alone, and what became of its inputs is logged
@@ -254,7 +250,7 @@ def test_in_real_time_too_a_thread_that_computes_hands_the_interpreter_over_soon
 class ToldSession(Session):
     """Of an autopilot that keeps setpoints for so long."""
 
-    def __init__(self, keeps_setpoint_s: float | None) -> None:
+    def __init__(self, keeps_setpoint_s: float | None = 1.0) -> None:
         super().__init__(LinkConfig())
         self._told = AutopilotSetup(setpoint_timeout_s=keeps_setpoint_s)
 
@@ -263,43 +259,31 @@ class ToldSession(Session):
         return self._told
 
 
-def monitored(work, keeps_setpoint_s: float | None = 1.0) -> None:  # type: ignore[no-untyped-def]
-    """Run a coroutine function of (monitor, session, clock) in virtual time."""
-
-    async def main() -> None:
-        session, clock = ToldSession(keeps_setpoint_s), Clock()
-        await work(LoopMonitor(session, clock), session, clock)
-
-    run_in_virtual_time(main())
-
-
-def test_before_it_turns_and_after_its_end_nothing_is_held_back() -> None:
-    async def work(monitor: LoopMonitor, _session: Session, _clock: Clock) -> None:
-        said = []
-        steps: tuple[Callable[[], None], ...] = (
-            lambda: None,
-            lambda: monitor.turn(0.0, PERIOD_S),
-            monitor.end,
-        )
-        for step in steps:
-            step()
-            await asyncio.sleep(2.0 * BUFFER_S)
-            said.append(monitor.silent)
-        assert said == [False, True, False]
-
-    monitored(work)
+@in_virtual_time
+async def test_before_it_turns_and_after_its_end_nothing_is_held_back() -> None:
+    monitor = LoopMonitor(ToldSession(), Clock())
+    said = []
+    steps: tuple[Callable[[], None], ...] = (
+        lambda: None,
+        lambda: monitor.turn(0.0, PERIOD_S),
+        monitor.end,
+    )
+    for step in steps:
+        step()
+        await asyncio.sleep(2.0 * BUFFER_S)
+        said.append(monitor.silent)
+    assert said == [False, True, False]
 
 
-def test_late_cycles_are_counted_from_half_a_period_on() -> None:
-    async def work(monitor: LoopMonitor, _session: Session, _clock: Clock) -> None:
-        for late_s in (0.0, 0.4 * PERIOD_S, 0.6 * PERIOD_S, 3.0):
-            monitor.turn(late_s, PERIOD_S)
-        assert monitor.late_share == 0.5
-        for _ in range(CYCLES):
-            monitor.turn(0.0, PERIOD_S)
-        assert monitor.late_share == 0.0  # what was late long ago says nothing of now
-
-    monitored(work)
+@in_virtual_time
+async def test_late_cycles_are_counted_from_half_a_period_on() -> None:
+    monitor = LoopMonitor(ToldSession(), Clock())
+    for late_s in (0.0, 0.4 * PERIOD_S, 0.6 * PERIOD_S, 3.0):
+        monitor.turn(late_s, PERIOD_S)
+    assert monitor.late_share == 0.5
+    for _ in range(CYCLES):
+        monitor.turn(0.0, PERIOD_S)
+    assert monitor.late_share == 0.0  # what was late long ago says nothing of now
 
 
 @pytest.mark.parametrize(
@@ -307,64 +291,59 @@ def test_late_cycles_are_counted_from_half_a_period_on() -> None:
     [(1.0, 1.0), (0.4, 0.4), (None, UNKNOWN_TIMEOUT_S), (3.0, BUFFER_S)],  # the buffer holds no more
 )
 @pytest.mark.parametrize(("share", "stalled"), [(0.9, False), (1.1, True)])
-def test_a_stall_waits_for_a_heartbeat_that_comes_now(
+@in_virtual_time
+async def test_a_stall_waits_for_a_heartbeat_that_comes_now(
     keeps_s: float | None, stall_s: float, share: float, stalled: bool
 ) -> None:
-    late_s = share * stall_s
+    session, clock = ToldSession(keeps_s), Clock()
+    monitor = LoopMonitor(session, clock)
+    session.heartbeats = 7
+    kept_alive = 0
 
-    async def work(monitor: LoopMonitor, session: Session, clock: Clock) -> None:
-        session.heartbeats = 7
-        kept_alive = 0
+    def alive() -> None:
+        nonlocal kept_alive
+        kept_alive += 1
 
-        def alive() -> None:
-            nonlocal kept_alive
-            kept_alive += 1
+    async def later() -> None:
+        await asyncio.sleep(0.6)
+        session.heartbeats += 1
 
-        async def later() -> None:
-            await asyncio.sleep(0.6)
-            session.heartbeats += 1
-
-        heartbeat = asyncio.create_task(later())
-        monitor.turn(0.0, PERIOD_S)
-        begun_s = clock.now_s()
-        assert await monitor.catch_up(late_s, alive) is stalled
-        waited_s = clock.now_s() - begun_s
-        assert waited_s == (pytest.approx(0.6, abs=0.05) if stalled else 0.0)
-        assert (kept_alive > 20) is stalled  # the watchdog is fed meanwhile
-        assert not monitor.silent
-        await heartbeat
-
-    monitored(work, keeps_s)
+    heartbeat = asyncio.create_task(later())
+    monitor.turn(0.0, PERIOD_S)
+    begun_s = clock.now_s()
+    assert await monitor.catch_up(share * stall_s, alive) is stalled
+    waited_s = clock.now_s() - begun_s
+    assert waited_s == (pytest.approx(0.6, abs=0.05) if stalled else 0.0)
+    assert (kept_alive > 20) is stalled  # the watchdog is fed meanwhile
+    assert not monitor.silent
+    await heartbeat
 
 
-def test_without_a_heartbeat_it_goes_on_after_the_link_s_time_out() -> None:
-    async def work(monitor: LoopMonitor, session: Session, clock: Clock) -> None:
-        begun_s = clock.now_s()
-        assert await monitor.catch_up(5.0, lambda: None)
-        assert clock.now_s() - begun_s == pytest.approx(session.heartbeat_timeout_s, abs=0.05)
+@in_virtual_time
+async def test_without_a_heartbeat_it_goes_on_after_the_link_s_time_out() -> None:
+    session, clock = ToldSession(), Clock()
+    monitor = LoopMonitor(session, clock)
+    begun_s = clock.now_s()
+    assert await monitor.catch_up(5.0, lambda: None)
+    assert clock.now_s() - begun_s == pytest.approx(session.heartbeat_timeout_s, abs=0.05)
 
-    monitored(work)
 
-
-def test_a_suspension_of_the_machine_counts_though_the_loop_s_clock_stood_still(
+@in_virtual_time
+async def test_a_suspension_of_the_machine_counts_though_the_loop_s_clock_stood_still(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     suspended_s = 50.0  # before the app was started: no matter
     monkeypatch.setattr(Clock, "suspended_s", lambda _clock: suspended_s)
-
-    async def work(monitor: LoopMonitor, _session: Session, _clock: Clock) -> None:
-        nonlocal suspended_s
+    monitor = LoopMonitor(ToldSession(), Clock())
+    monitor.turn(0.0, PERIOD_S)
+    found = []
+    # once it is held up between the two clocks: one reads early
+    for slept_s in (0.0, 3600.0, 0.0, -1.2, 1.2):
+        suspended_s += slept_s
+        silent = monitor.silent
+        found.append((silent, monitor.slept_s(), monitor.woke))
         monitor.turn(0.0, PERIOD_S)
-        found = []
-        # once it is held up between the two clocks: one reads early
-        for slept_s in (0.0, 3600.0, 0.0, -1.2, 1.2):
-            suspended_s += slept_s
-            silent = monitor.silent
-            found.append((silent, monitor.slept_s(), monitor.woke))
-            monitor.turn(0.0, PERIOD_S)
-        assert found == [(False, 0.0, False), (True, 3600.0, True), *[(False, 0.0, False)] * 3]
-
-    monitored(work)
+    assert found == [(False, 0.0, False), (True, 3600.0, True), *[(False, 0.0, False)] * 3]
 
 
 @pytest.mark.parametrize(
@@ -378,37 +357,32 @@ def test_a_suspension_of_the_machine_counts_though_the_loop_s_clock_stood_still(
         ((0.0,) * 4 + (9.0,), 0.05, "computer too slow: control 200 ms late, limit 100"),
     ],
 )
-def test_a_computer_that_is_too_slow_says_so(
+@in_virtual_time
+async def test_a_computer_that_is_too_slow_says_so(
     late_s: tuple[float, ...], vision_s: float, words: str | None
 ) -> None:
-    async def work(_: LoopMonitor, session: Session, clock: Clock) -> None:
-        pace = VisionPace(lambda *_said: None)
-        monitor = LoopMonitor(session, clock, pace)
-        assert monitor.load == ComputerLoad()
-        for _k in range(FRAMES):
-            await pace.rest(vision_s)
-        for k in range(30):
-            monitor.turn(late_s[k % len(late_s)], PERIOD_S)
-        assert monitor.load == ComputerLoad(words, max(late_s))
-
-    monitored(work)
+    pace = VisionPace(lambda *_said: None)
+    monitor = LoopMonitor(ToldSession(), Clock(), pace)
+    assert monitor.load == ComputerLoad()
+    for _k in range(FRAMES):
+        await pace.rest(vision_s)
+    for k in range(30):
+        monitor.turn(late_s[k % len(late_s)], PERIOD_S)
+    assert monitor.load == ComputerLoad(words, max(late_s))
 
 
 # ---------------- Vision takes fewer frames before control is late, in announced steps
 
 
-def frames_taken(pace: VisionPace, took_s: float, count: int = FRAMES) -> float:
+@in_virtual_time
+async def frames_taken(pace: VisionPace, took_s: float, count: int = FRAMES) -> float:
     """Let vision take so many frames; returns how long it rested after each (s)."""
-
-    async def work() -> float:
-        clock = Clock()
-        began_s = clock.now_s()
-        for _ in range(count):
-            await pace.rest(took_s)
-        await asyncio.sleep(0.0)
-        return (clock.now_s() - began_s) / count
-
-    return run_in_virtual_time(work())
+    clock = Clock()
+    began_s = clock.now_s()
+    for _ in range(count):
+        await pace.rest(took_s)
+    await asyncio.sleep(0.0)
+    return (clock.now_s() - began_s) / count
 
 
 def late_cycles(pace: VisionPace, late_s: float, count: int = JUDGED_CYCLES) -> None:
