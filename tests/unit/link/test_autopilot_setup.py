@@ -19,7 +19,7 @@ TOLD: dict[str, float] = {
 }  # fmt: skip
 
 
-class Reader(SetupReader):
+class AnsweredReader(SetupReader):
     """One that has begun, and that the autopilot answers."""
 
     def __init__(self, kind: AutopilotKind) -> None:
@@ -27,7 +27,7 @@ class Reader(SetupReader):
         super().__init__(self.requests)
         self.begin(kind)
 
-    def answered(self, told: dict[str, float], during: int = 30) -> "Reader":
+    def answered(self, told: dict[str, float], during: int = 30) -> "AnsweredReader":
         """Tenths of a second in which the autopilot answers."""
         for k in range(during):
             for message in self.requests.to_send(0.1 * k, 1):
@@ -42,11 +42,11 @@ class Reader(SetupReader):
 
 def read(autopilot_kind: AutopilotKind, told: dict[str, float]) -> AutopilotSetup | None:
     """What a reader knows that has been answered for three seconds."""
-    return Reader(autopilot_kind).answered(told).setup
+    return AnsweredReader(autopilot_kind).answered(told).setup
 
 
 def test_a_parameter_that_was_corrected_is_known_once_asked_for_afresh() -> None:
-    reader = Reader("ardupilot").answered(TOLD | {"GUID_TIMEOUT": 3.0})
+    reader = AnsweredReader("ardupilot").answered(TOLD | {"GUID_TIMEOUT": 3.0})
     before = reader.setup
     assert before is not None
     reader.renew()
@@ -61,7 +61,7 @@ def test_what_follows_a_silence_is_fresh_once_it_has_been_answered_again() -> No
     # GIVEN an autopilot that lacks a parameter, which is asked for in vain for two seconds
     told = TOLD | {"GUID_TIMEOUT": 3.0}
     del told["PSC_JERK_XY"]
-    reader = Reader("ardupilot").answered(told)
+    reader = AnsweredReader("ardupilot").answered(told)
     fresh = [reader.loss_is_fresh]
     # WHEN it is asked afresh
     reader.renew()
@@ -75,7 +75,7 @@ def test_what_follows_a_silence_is_fresh_once_it_has_been_answered_again() -> No
 
 
 def test_what_a_bad_link_leaves_unanswered_is_known_still() -> None:
-    reader = Reader("px4").answered(TOLD | {"COM_OBL_RC_ACT": 4.0})
+    reader = AnsweredReader("px4").answered(TOLD | {"COM_OBL_RC_ACT": 4.0})
     before = reader.setup
     reader.renew()
     reader.answered({})
@@ -85,7 +85,7 @@ def test_what_a_bad_link_leaves_unanswered_is_known_still() -> None:
 
 def test_what_nothing_can_change_any_more_is_not_put_together_again() -> None:
     """It is asked for in every control cycle, and by each that it is late."""
-    reader = Reader("px4").answered(TOLD)
+    reader = AnsweredReader("px4").answered(TOLD)
     assert reader.setup is not None
     assert reader.setup is reader.setup
 
