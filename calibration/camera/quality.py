@@ -1,6 +1,6 @@
 """The acceptance test of a camera calibration: good enough to fly with, or why not. Pure."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -95,97 +95,88 @@ def _held_out_of_brown(views: Sequence[BoardView], size_px: tuple[int, int], boa
 # ---------------------------------------------------------------- judges: each gives its reasons
 
 
-def _views(found: Assessment) -> list[str]:
+def _views(found: Assessment) -> Iterator[str]:
     count, dropped = len(found.solution.seen), len(found.solution.dropped_views)
-    reasons = []
     if count < FEWEST_VIEWS:
-        reasons.append(f"too few views: {count}, expected {FEWEST_VIEWS} or more")
+        yield f"too few views: {count}, expected {FEWEST_VIEWS} or more"
     if dropped > MOST_DROPPED * (count + dropped):
-        reasons.append(
+        yield (
             f"{dropped} of {count + dropped} views do not fit the others; expected one board, flat and rigid"
         )
-    return reasons
 
 
-def _seen(found: Assessment) -> list[str]:
+def _seen(found: Assessment) -> Iterator[str]:
     coverage = found.coverage
-    reasons = []
     if coverage.share < SMALLEST_COVERAGE:
-        reasons.append(
+        yield (
             f"the board was seen in {100 * coverage.share:.0f} % of the image; "
             f"expected {100 * SMALLEST_COVERAGE:.0f} % or more"
         )
     missing = coverage.unseen_corners
     if len(missing) > MOST_CORNERS_MISSING:
-        reasons.append(
+        yield (
             f"corners of the image without the board: {', '.join(missing)}; "
             f"expected it in {len(CORNERS) - MOST_CORNERS_MISSING} or more"
         )
     if coverage.largest_tilt_deg < SMALLEST_TILT_DEG:
-        reasons.append(
+        yield (
             f"the board was tilted by {coverage.largest_tilt_deg:.0f}° at most; "
             f"expected {SMALLEST_TILT_DEG:.0f}° or more; without tilt the focal length is not observable"
         )
-    return reasons
 
 
-def _sure(found: Assessment) -> list[str]:
+def _sure(found: Assessment) -> Iterator[str]:
     camera, std = found.solution.camera, found.uncertainty.std
     width = camera.size_px[0]
-    reasons = []
     for name, value, deviation in zip(("fx", "fy"), camera.numbers[:2], std[:2], strict=True):
         if deviation > LARGEST_FOCAL_STD * value:
-            reasons.append(
+            yield (
                 f"{name} {value:.1f} px is uncertain by {deviation:.1f} px; "
                 f"expected {LARGEST_FOCAL_STD * value:.1f} or less"
             )
     for name, deviation in zip(("cx", "cy"), std[2:4], strict=True):
         if deviation > LARGEST_CENTRE_STD * width:
-            reasons.append(
+            yield (
                 f"{name} is uncertain by {deviation:.1f} px; "
                 f"expected {LARGEST_CENTRE_STD * width:.1f} or less"
             )
     worst, place = float(found.projection_std_px.max()), _place(found.projection_std_px)
     if worst > LARGEST_PROJECTION_STD * width:
-        reasons.append(
+        yield (
             f"the projection at the {place} of the image is uncertain by {worst:.1f} px; "
             f"expected {LARGEST_PROJECTION_STD * width:.1f} or less"
         )
-    return reasons
 
 
-def _fits(found: Assessment) -> list[str]:
+def _fits(found: Assessment) -> Iterator[str]:
     limit = max(SMALLEST_LIMIT_PX, LARGEST_RMS * found.solution.camera.size_px[0])
-    reasons = []
     if found.rms_px > limit:
-        reasons.append(
+        yield (
             f"the reprojection error is {found.rms_px:.2f} px; expected {limit:.2f} or less "
             "(board not flat or not as described, images blurred or scaled?)"
         )
     held_out = found.held_out_rms_px
     if held_out is not None and held_out > max(OVERFIT_RATIO * found.rms_px, found.rms_px + 0.02):
-        reasons.append(
+        yield (
             f"views that were held out are {held_out:.3f} px off, the others {found.rms_px:.3f}: "
             "the model overfits; expected more views"
         )
     brown = found.brown_held_out_rms_px
     if brown is not None and (held_out is None or held_out >= brown):
         left_out = "no figure" if held_out is None else f"{held_out:.3f} px"
-        reasons.append(
+        yield (
             f"the {found.solution.camera.model} model overfits: {left_out} on views held out, "
             f"{brown:.3f} px with five numbers; expected --model brown"
         )
-    return reasons
 
 
-def _unfolded(found: Assessment) -> list[str]:
+def _unfolded(found: Assessment) -> Iterator[str]:
     share = unfolded_share(found.solution.camera)
     if share < 1.0:
-        return [
+        yield (
             f"the distortion folds back at {100 * share:.0f} % of the way to the image's corners; "
             "expected the board nearer to them, or the other --model"
-        ]
-    return []
+        )
 
 
 def unfolded_share(camera: Intrinsics) -> float:

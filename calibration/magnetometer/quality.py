@@ -6,6 +6,7 @@ Bounds are about what a heading needs: an error of 1 % of the field is about 1°
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -75,14 +76,12 @@ def judge(fit: EllipsoidFit, figures: Figures) -> tuple[Verdict, tuple[str, ...]
 Finding = tuple[bool, str]
 
 
-def _coverage(figures: Figures) -> list[Finding]:
-    found: list[Finding] = []
+def _coverage(figures: Figures) -> Iterator[Finding]:
     if figures.samples < LEAST_SAMPLES:
-        found.append((True, f"{figures.samples} samples; expected {LEAST_SAMPLES} or more"))
+        yield True, f"{figures.samples} samples; expected {LEAST_SAMPLES} or more"
     if figures.coverage < WHOLE:
         text = f"{figures.coverage:.0%} of the sphere is covered; expected {WHOLE:.0%}"
-        found.append((figures.coverage < LEAST_COVERAGE, f"{text}; next: {figures.next_turn}"))
-    return found
+        yield figures.coverage < LEAST_COVERAGE, f"{text}; next: {figures.next_turn}"
 
 
 def _fit(fit: EllipsoidFit, figures: Figures) -> list[Finding]:
@@ -97,26 +96,21 @@ def _fit(fit: EllipsoidFit, figures: Figures) -> list[Finding]:
     ]
 
 
-def _field(figures: Figures) -> list[Finding]:
-    found: list[Finding] = []
+def _field(figures: Figures) -> Iterator[Finding]:
     if (ratio := figures.strength_ratio) is not None:
         text = f"the sensor shows {ratio:.2f} times the field that there is"
-        found += _above(STRENGTH_RATIO, max(ratio, 1.0 / ratio), text + " ({:.2f})")
+        yield from _above(STRENGTH_RATIO, max(ratio, 1.0 / ratio), text + " ({:.2f})")
     if (dip := figures.dip) is not None:
-        found += _above(DIP_SPREAD_DEG, dip.spread_deg, "the dip wavers by {:.1f}° over the attitudes")
+        yield from _above(DIP_SPREAD_DEG, dip.spread_deg, "the dip wavers by {:.1f}° over the attitudes")
         if figures.true_dip_deg is not None:
             text = f"the dip is {dip.median_deg:.1f}°, {{:.1f}}° off the {figures.true_dip_deg:.1f}° there is"
-            found += _above(DIP_ERROR_DEG, abs(dip.median_deg - figures.true_dip_deg), text)
-    return found
+            yield from _above(DIP_ERROR_DEG, abs(dip.median_deg - figures.true_dip_deg), text)
 
 
-def _alignment(figures: Figures) -> list[Finding]:
-    if (alignment := figures.alignment) is None:
-        return []
-    return [
-        *_above(ALIGNMENT_DEG, alignment.angle_deg, "the sensors' axes stand {:.1f}° apart"),
-        *_above(ALIGNMENT_STD_DEG, alignment.std_deg, "the alignment is known to {:.1f}° only"),
-    ]
+def _alignment(figures: Figures) -> Iterator[Finding]:
+    if (alignment := figures.alignment) is not None:
+        yield from _above(ALIGNMENT_DEG, alignment.angle_deg, "the sensors' axes stand {:.1f}° apart")
+        yield from _above(ALIGNMENT_STD_DEG, alignment.std_deg, "the alignment is known to {:.1f}° only")
 
 
 def _above(bound: Bound, value: float, text: str) -> list[Finding]:

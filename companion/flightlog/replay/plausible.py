@@ -3,7 +3,7 @@
 import itertools
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from companion.base.geometry import Vector3, norm
@@ -49,51 +49,44 @@ def implausible(
     ]
 
 
-def _biases(last: VehicleState) -> list[str]:
-    found = []
+def _biases(last: VehicleState) -> Iterator[str]:
     if (bias := norm(last.accel_bias_m_s2)) > LARGEST_ACCEL_BIAS_M_S2:
-        found.append(
+        yield (
             f"accelerometer bias {bias:.1f} m/s² at the end; no accelerometer has more than "
             f"{LARGEST_ACCEL_BIAS_M_S2:g}: clipping, a wrong scale or axis, or a wrong GPS velocity"
         )
     if (bias := norm(last.gyro_bias_rad_s)) > LARGEST_BIAS_RAD_S:
-        found.append(
+        yield (
             f"gyroscope bias {math.degrees(bias):.1f}°/s at the end; no gyroscope has more than "
             f"{math.degrees(LARGEST_BIAS_RAD_S):g}: clipping, or a wrong scale or axis"
         )
-    return found
 
 
-def _speed(fastest_m_s: float) -> list[str]:
-    if fastest_m_s <= LARGEST_SPEED_M_S:
-        return []
-    return [
-        f"speed {fastest_m_s:.0f} m/s; no multirotor flies faster than {LARGEST_SPEED_M_S:g}: it ran away"
-    ]
+def _speed(fastest_m_s: float) -> Iterator[str]:
+    if fastest_m_s > LARGEST_SPEED_M_S:
+        limit = f"{LARGEST_SPEED_M_S:g}"
+        yield f"speed {fastest_m_s:.0f} m/s; no multirotor flies faster than {limit}: it ran away"
 
 
-def _magnetometer(samples: Mapping[str, int], refused: Mapping[str, int]) -> list[str]:
+def _magnetometer(samples: Mapping[str, int], refused: Mapping[str, int]) -> Iterator[str]:
     number = samples.get("mag", 0)
     share = sum(refused.get(kind, 0) for kind in _REFUSALS) / number if number else 0.0
-    if share <= REFUSED_SHARE:
-        return []
-    return [
-        f"{share:.0%} of the magnetometer's samples were refused: size, dip or direction are not the "
-        "field's there; the heading is the gyroscope's, and may be off by tens of degrees"
-    ]
+    if share > REFUSED_SHARE:
+        yield (
+            f"{share:.0%} of the magnetometer's samples were refused: size, dip or direction are not the "
+            "field's there; the heading is the gyroscope's, and may be off by tens of degrees"
+        )
 
 
-def _origins(references: Mapping[Source, RecordedReference], origin: Vector3) -> list[str]:
-    found = []
+def _origins(references: Mapping[Source, RecordedReference], origin: Vector3) -> Iterator[str]:
     for source, reference in references.items():
         apart_m = 0.0 if reference.origin is None else abs(reference.origin[2] - origin[2])
         if reference.origin is not None and apart_m > APART_M:
-            found.append(
+            yield (
                 f"the origin of the log's {'truth' if source == 'truth' else 'position'} is at "
                 f"{reference.origin[2]:.0f} m, the GPS's at {origin[2]:.0f} m: the position's error contains "
                 f"{apart_m:.0f} m of that"
             )
-    return found
 
 
 # ---------------------------------------------------------------- what the log lacks
