@@ -4,7 +4,8 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from companion.base.geometry import (
     Quaternion,
     Vector3,
+    add,
     quat_from_euler,
     quat_multiply,
     quat_rotate,
@@ -44,7 +46,7 @@ QUESTIONS = (
 )
 # of the simulated hand: ten seconds, two to rise, four of rest; then it goes to the right
 RIGHT_MOVE_S = 16.5
-Any = ImuSample | MagSample | PadSighting | RangeSample
+AnySample = ImuSample | MagSample | PadSighting | RangeSample
 
 
 @lru_cache(maxsize=1)
@@ -77,7 +79,7 @@ def test_on_a_right_vehicle_all_is_well() -> None:
 # ---------------------------------------------------------------- on samples
 
 
-def again(change: Callable[[Any], Any | None], said: list[Say] | None = None) -> Report:
+def again(change: Callable[[AnySample], AnySample | None], said: list[Say] | None = None) -> Report:
     """The check over the samples of a right vehicle, as other settings or sensors would have given them."""
     heard = [] if said is None else said
     samples, wizard = RecentSamples(), Wizard(MOUNTING, 0.0)
@@ -106,36 +108,13 @@ def failed(report: Report) -> set[str]:
     return set(report.causes)
 
 
-def seen_turned(turn: Quaternion) -> Callable[[Any], Any]:
-    """The camera is believed to sit turned by `turn` more than it does."""
+def changed(kind: type[AnySample], **ways: Callable[[Any], Any]) -> Callable[[AnySample], AnySample]:
+    """Fields of one kind of samples are otherwise."""
 
-    def change(sample: Any) -> Any:
-        if not isinstance(sample, PadSighting):
+    def change(sample: AnySample) -> AnySample:
+        if not isinstance(sample, kind):
             return sample
-        return replace(
-            sample,
-            pad_position_body_m=quat_rotate(turn, sample.pad_position_body_m),
-            body_from_pad=quat_multiply(turn, sample.body_from_pad),
-        )
-
-    return change
-
-
-def felt_turned(turn: Quaternion) -> Callable[[Any], Any]:
-    """The same of the IMU."""
-
-    def change(sample: Any) -> Any:
-        if isinstance(sample, ImuSample):
-            return replace(
-                sample,
-                rate_body_rad_s=quat_rotate(turn, sample.rate_body_rad_s),
-                specific_force_body_m_s2=quat_rotate(turn, sample.specific_force_body_m_s2),
-            )
-        return (
-            replace(sample, field_body_ut=quat_rotate(turn, sample.field_body_ut))
-            if isinstance(sample, MagSample)
-            else sample
-        )
+        return replace(sample, **{name: way(getattr(sample, name)) for name, way in ways.items()})
 
     return change
 
@@ -152,7 +131,9 @@ def test_the_same_samples_give_the_same_answers() -> None:
 
 @pytest.mark.parametrize("wrong_deg", [90.0, 180.0, -90.0, 30.0])
 def test_a_camera_turned_on_its_axis(wrong_deg: float) -> None:
-    report = again(seen_turned(euler(0.0, 0.0, wrong_deg)))
+    turn = euler(0.0, 0.0, wrong_deg)
+    rotated, turned = partial(quat_rotate, turn), partial(quat_multiply, turn)
+    report = again(changed(PadSighting, pad_position_body_m=rotated, body_from_pad=turned))
     assert failed(report) >= {"roll right", "nose up"}
     assert failed(report) <= {"right is right", "forward is forward", "roll right", "nose up"}
     (line,) = cause_lines(report)
@@ -165,7 +146,10 @@ def test_a_camera_turned_on_its_axis(wrong_deg: float) -> None:
     "wrong_deg", [(0.0, 0.0, 90.0), (180.0, 0.0, 0.0), (90.0, 0.0, 0.0), (0.0, -90.0, 0.0)]
 )
 def test_a_chip_mounted_otherwise(wrong_deg: Vector3) -> None:
-    report = again(felt_turned(euler(*wrong_deg)))
+    rotated = partial(quat_rotate, euler(*wrong_deg))
+    imu = changed(ImuSample, rate_body_rad_s=rotated, specific_force_body_m_s2=rotated)
+    mag = changed(MagSample, field_body_ut=rotated)
+    report = again(lambda sample: mag(imu(sample)))
     assert "nose up" in failed(report) or "roll right" in failed(report)
     assert failed(report).isdisjoint({"up is up", "height, low", "compass"})
     causes = {report.causes[name] for name in failed(report)}
@@ -187,7 +171,7 @@ class DistanceError:
     echo: float = 1.0
     echo_more_m: float = 0.0
 
-    def __call__(self, sample: Any) -> Any:
+    def __call__(self, sample: AnySample) -> AnySample:
         """A sample as it would come."""
         if isinstance(sample, PadSighting):
             return replace(sample, pad_position_body_m=scale(sample.pad_position_body_m, self.pad))
@@ -228,13 +212,7 @@ def test_without_a_field_the_compass_is_named() -> None:
 
 
 def test_a_strong_magnet_is_noticed() -> None:
-    def near_a_magnet(sample: Any) -> Any:
-        if not isinstance(sample, MagSample):
-            return sample
-        x, y, z = sample.field_body_ut
-        return replace(sample, field_body_ut=(x + 60.0, y, z))
-
-    report = again(near_a_magnet)
+    report = again(changed(MagSample, field_body_ut=partial(add, (60.0, 0.0, 0.0))))
     assert "compass" in failed(report)
     # of where a disturbed one points nothing is said
     assert not any("COMPASS_ORIENT" in cause for cause in report.causes.values())
@@ -246,13 +224,7 @@ TILTS = {"roll right", "nose up"}
 @pytest.mark.parametrize("turned_deg", [45.0, 90.0, 180.0])
 def test_a_compass_that_sits_turned_on_its_axis_has_every_heading_wrong(turned_deg: float) -> None:
     turn = euler(0.0, 0.0, turned_deg)
-
-    def change(sample: Any) -> Any:
-        if not isinstance(sample, MagSample):
-            return sample
-        return replace(sample, field_body_ut=quat_rotate(turn, sample.field_body_ut))
-
-    report = again(change)
+    report = again(changed(MagSample, field_body_ut=partial(quat_rotate, turn)))
     # strength, dip and turns about the vertical show nothing of it
     assert failed(report) == {f"compass tilts along, {tilt}" for tilt in TILTS}
     assert "COMPASS_ORIENT" in report.causes["compass tilts along, nose up"]
@@ -260,22 +232,16 @@ def test_a_compass_that_sits_turned_on_its_axis_has_every_heading_wrong(turned_d
 
 @pytest.mark.parametrize("factors", [(0.5, 1.0, 1.0), (1.0, 2.0, 1.0), (0.5, 0.5, 0.5), (2.0, 2.0, 2.0)])
 def test_an_accelerometer_of_another_range_is_noticed(factors: Vector3) -> None:
-    def change(sample: Any) -> Any:
-        if not isinstance(sample, ImuSample):
-            return sample
-        x, y, z = (f * a for f, a in zip(factors, sample.specific_force_body_m_s2, strict=True))
-        return replace(sample, specific_force_body_m_s2=(x, y, z))
+    def scaled(force: Vector3) -> tuple[float, ...]:
+        return tuple(f * a for f, a in zip(factors, force, strict=True))
 
+    change = changed(ImuSample, specific_force_body_m_s2=scaled)
     wrong = {"level is level"} if len(set(factors)) == 1 else {"accelerometer tilts along, "}
     assert any(name.startswith(tuple(wrong)) for name in failed(again(change)))
 
 
 def test_no_number_is_no_right_answer() -> None:
-    def change(sample: Any) -> Any:
-        if not isinstance(sample, ImuSample):
-            return sample
-        return replace(sample, specific_force_body_m_s2=(float("nan"),) * 3)
-
+    change = changed(ImuSample, specific_force_body_m_s2=lambda _: (float("nan"),) * 3)
     assert "level is level" in failed(again(change))
 
 
@@ -283,7 +249,7 @@ def test_samples_that_are_lost_at_rest_cost_nothing() -> None:
     """The hand rests from 12 to 16 s."""
     lost_s = RIGHT_MOVE_S - 2.0
 
-    def losing(sample: Any) -> Any | None:
+    def losing(sample: AnySample) -> AnySample | None:
         return None if isinstance(sample, ImuSample) and lost_s < sample.time_s < lost_s + 0.3 else sample
 
     said = list[Say]()
@@ -296,7 +262,7 @@ def test_a_move_that_the_imu_missed_is_asked_for_again_and_another_move_is_no_an
     moved_s = next(heard_s for heard_s, sample in right().heard if isinstance(sample, PadSighting) and
                    sample.time_s > RIGHT_MOVE_S)  # fmt: skip
 
-    def losing(sample: Any) -> Any | None:
+    def losing(sample: AnySample) -> AnySample | None:
         lost = isinstance(sample, ImuSample) and moved_s < sample.time_s < moved_s + 0.3
         return None if lost else sample
 

@@ -154,9 +154,7 @@ TARGET_GOOD: dict[AutopilotKind, dict[str, float | None]] = {
 def target_states(
     kind: AutopilotKind, changed: Mapping[str, float | None], settings: dict[str, Any] | None = None
 ) -> dict[str, FindingState]:
-    config = validate(CompanionConfig, {**TELLS, **(settings or {})}, "test")
-    found = judge_parameters(kind, {**TARGET_GOOD[kind], **changed}, Wanted.of(config, VEHICLE, kind))
-    return {finding.name: finding.state for finding in found if finding.state is not FindingState.OK}
+    return states(kind, {**TARGET_GOOD[kind], **changed}, {**TELLS, **(settings or {})})
 
 
 @pytest.mark.parametrize("kind", ["px4", "ardupilot"])
