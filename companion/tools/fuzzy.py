@@ -1,5 +1,6 @@
 """Rules in; the table of rules, what the flight's table is worth, and a picture out."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -150,10 +151,9 @@ def _check(console: Console, rules: RuleSet, table: AnyTable, points: int, rng: 
     return error.holds and all(slip <= MONOTONE_TOLERANCE_M_S for slip in slips.values())
 
 
-def rule_tables(rules: RuleSet) -> list[Table]:
+def rule_tables(rules: RuleSet) -> Iterator[Table]:
     """One block for each term of the third input: rows are the first's, columns the second's."""
     first, second, third = rules.inputs
-    blocks = []
     for term in in_order(rules.terms(third)):
         block = Table(title=f"{WORDS[third]} {term}", title_justify="left")
         block.add_column(WORDS[first])
@@ -161,8 +161,7 @@ def rule_tables(rules: RuleSet) -> list[Table]:
             block.add_column(column)
         for row in in_order(rules.terms(first)):
             block.add_row(row, *rules.rules[term][row])
-        blocks.append(block)
-    return blocks
+        yield block
 
 
 def error_line(rules: RuleSet, error: TableError) -> str:
@@ -179,11 +178,9 @@ def error_line(rules: RuleSet, error: TableError) -> str:
     )
 
 
-def sense_lines(slips: dict[str, float]) -> list[str]:
+def sense_lines(slips: dict[str, float]) -> Iterator[str]:
     """For each input whether the output does what a pilot would."""
-    lines = []
     for name, slip in slips.items():
         broken = slip > MONOTONE_TOLERANCE_M_S
         unit = "" if name in PaceRules.inputs else " m/s"
-        lines.append(f"{SENSE[name]}: " + (f"BROKEN, by up to {slip:.3f}{unit}" if broken else "holds"))
-    return lines
+        yield f"{SENSE[name]}: " + (f"BROKEN, by up to {slip:.3f}{unit}" if broken else "holds")

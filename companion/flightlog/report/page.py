@@ -1,7 +1,7 @@
 """`report.html`: a flight on one page that needs nothing but itself, neither a network nor other files."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
@@ -129,9 +129,8 @@ def _verdict_rows(flight: LoggedFlight, bounds: Mapping[str, float]) -> Sequence
 SENSOR_COLUMNS: Final = ("", "samples", "a second", "longest gap", "age when used, median", "p99")
 
 
-def sensor_rows(sensors: Mapping[str, SensorRecord]) -> list[Sequence[str]]:
+def sensor_rows(sensors: Mapping[str, SensorRecord]) -> Iterator[Sequence[str]]:
     """A row a sensor that was logged: how many samples, how regular, how old."""
-    rows: list[Sequence[str]] = []
     for name, label in SENSOR_NAMES.items():
         if (sensor := sensors.get(name)) is None:
             continue
@@ -140,8 +139,7 @@ def sensor_rows(sensors: Mapping[str, SensorRecord]) -> list[Sequence[str]]:
         rate = f"{(len(arrivals) - 1) / seconds:.1f}" if seconds > 0.0 else "-"
         gap = f"{float(np.max(np.diff(arrivals))):.2f} s" if len(arrivals) > 1 else "-"
         p50, p99 = np.percentile(1e3 * np.array(sensor.age_s), [50, 99])
-        rows.append((label, str(len(arrivals)), rate, gap, f"{p50:.0f} ms", f"{p99:.0f} ms"))
-    return rows
+        yield label, str(len(arrivals)), rate, gap, f"{p50:.0f} ms", f"{p99:.0f} ms"
 
 
 def _events(flight: LoggedFlight) -> str:
@@ -170,7 +168,7 @@ def differences(flown: Any, default: Any, name: str = "") -> list[Sequence[str]]
     return [] if flown == default else [(name, json.dumps(flown), json.dumps(default))]
 
 
-def table_html(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: Sequence[str] = ()) -> str:
+def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]], classes: Sequence[str] = ()) -> str:
     """A table of texts; `classes` are those of its rows."""
     head = "".join(f"<th>{escape(text)}</th>" for text in heads)
     lines = []

@@ -7,7 +7,7 @@ are OpenCV's (x right, y down, z ahead).
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -224,18 +224,16 @@ class Tally:
     distances_m: list[float] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
 
-    def lines(self, size_px: tuple[int, int]) -> list[str]:
-        made = []
+    def lines(self, size_px: tuple[int, int]) -> Iterator[str]:
         for (width, height), count in self.other_sizes.items():
             expected = "x".join(map(str, size_px))
-            made.append(f"left out: {count} of {width}x{height}; the camera's calibration is for {expected}")
+            yield f"left out: {count} of {width}x{height}; the camera's calibration is for {expected}"
         if self.times_s:
             median, most = np.percentile(self.times_s, (50, 95))
             seen = f"pad seen in {len(self.distances_m)} of {len(self.times_s)}"
             if self.distances_m:
                 seen += f", {min(self.distances_m):.2f} to {max(self.distances_m):.2f} m away"
-            made.append(f"{seen}; {1e3 * median:.0f} ms a picture, p95 {1e3 * most:.0f} ms")
-        return made
+            yield f"{seen}; {1e3 * median:.0f} ms a picture, p95 {1e3 * most:.0f} ms"
 
 
 def find_with(config: Path, pad: str | None, camera: str | None) -> PadFinder:

@@ -1,5 +1,6 @@
 """Reads the flights, and shows what was found, what is offered, and what is withheld and why."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -106,26 +107,24 @@ def notes(found: Identified) -> list[str]:
     return lines
 
 
-def prediction_lines(found: Identified) -> list[str]:
+def prediction_lines(found: Identified) -> Iterator[str]:
     """How well the numbers predict, beside those assumed, and what that means."""
-    lines = []
     for name, judged in found.responses.items():
         if isinstance(judged, str) or not judged.contradicts:
             continue
-        lines += [
-            f"velocity {name}, half a second ahead in {each.flight}: {each.found:.3f} m/s rms, "
-            f"{each.assumed:.3f} as assumed"
-            for each in judged.predictions
-        ]
+        for each in judged.predictions:
+            yield (
+                f"velocity {name}, half a second ahead in {each.flight}: {each.found:.3f} m/s rms, "
+                f"{each.assumed:.3f} as assumed"
+            )
         if judged.withheld:
             worse = " and ".join(each.flight for each in judged.predictions if not each.holds)
-            lines.append(f"{name}: withheld: what was found predicts {worse} no better than what is assumed")
+            yield f"{name}: withheld: what was found predicts {worse} no better than what is assumed"
     hover = found.hover
     if not isinstance(hover, str) and hover.other is not None:
-        lines.append(f"hover thrust in the other flight: {hover.other:.3f}")
+        yield f"hover thrust in the other flight: {hover.other:.3f}"
         if hover.withheld:
-            lines.append("hover thrust: withheld: the other flight is nearer to what is assumed")
-    return lines
+            yield "hover thrust: withheld: the other flight is nearer to what is assumed"
 
 
 def settings_lines(record: IdentificationLog, found: Identified) -> list[str]:
