@@ -26,7 +26,8 @@ from tests.scenario.flying import COMMAND, ROOT, alive, children, environment, s
 from tests.scenario.real_time.quiet_machine import beside_lateness
 from tests.unit.sitl.campaign.campaign_parts import scenario_file
 from tests.unit.sitl.external.external_vehicle import ARDUPILOT, MessageSender, heartbeat
-from tests.unit.sitl.firmware.fake_firmware import Fake, fake, messages, soon
+from tests.unit.sitl.firmware.fake_firmware import Fake, fake, messages
+from tests.waiting import soon
 
 BOTH = pytest.mark.parametrize("kind", ["px4", "ardupilot"])
 ENDED = r"(px4|arducopter) has ended \(exit status 3\): last words of (px4|arducopter)"
