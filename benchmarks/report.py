@@ -16,7 +16,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 from rich.console import Console
 from rich.progress import track
@@ -24,6 +24,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.base.files import write_atomically
+from sitl.campaign.tables import Bar
 
 T = TypeVar("T")
 
@@ -39,18 +40,6 @@ def watched(items: Iterable[T], what: str, total: int | None = None) -> Iterator
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 WIDTH: Final = 150  # where nobody sets one: a file, a pipe
-
-
-class JudgedBar(Protocol):
-    """A bar that was measured; its text has the figure, the bar and whether it holds."""
-
-    @property
-    def name(self) -> str:
-        """What is measured."""
-
-    @property
-    def holds(self) -> bool:
-        """Whether the bar holds."""
 
 
 class BenchReport(Console):
@@ -78,7 +67,7 @@ class BenchReport(Console):
         """Print what is of no use when all is done."""
         self.print(text, highlight=False, soft_wrap=True, markup=False)
 
-    def judge(self, bars: Mapping[str, bool] | Iterable[JudgedBar]) -> BenchReport:
+    def judge(self, bars: Mapping[str, bool] | Iterable[Bar]) -> BenchReport:
         """Print the bars in one line; returns this report."""
         if isinstance(bars, Mapping):
             said = {name: f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items()}

@@ -32,7 +32,7 @@ from companion.config import ConfigError
 from sitl.campaign.manifest import CampaignRun, code_digest
 from sitl.campaign.rows import Row, RunsFile, make_row, pending
 from sitl.campaign.run import CampaignMeter
-from sitl.campaign.tables import Bar, print_worst, share, values
+from sitl.campaign.tables import Bar, at_most, print_worst, share, values
 from sitl.campaign.worker import fly_locally
 
 # measured on the real firmware: landed (%), median lateral error (cm), vertical speed (m/s), time (s)
@@ -78,11 +78,6 @@ def _seconds(rows: Sequence[Row]) -> float:
     return median(landed) if landed else float("inf")
 
 
-def at_most(name: str, value: float, limit: float, unit: str) -> Bar:
-    """A bar on a figure."""
-    return Bar(name, f"{value:.2f} (<= {limit:g}) {unit}", value <= limit)
-
-
 def landed_share(name: str, rows: Sequence[Row], least: float) -> Bar:
     """A bar on the share that landed."""
     hits = sum(row.landed for row in rows)
@@ -95,9 +90,9 @@ def random_bars(rows: Sequence[Row]) -> list[Bar]:
     return [
         landed_share("random landed", rows, 0.99),
         unplanned_bar("random", rows),
-        at_most("lateral p50", 100.0 * _percentile(rows, lateral, 50), 3.0, "cm"),
-        at_most("lateral p95", 100.0 * _percentile(rows, lateral, 95), 8.0, "cm"),
-        at_most("vertical p50", _percentile(rows, "vertical_speed_m_s", 50), 0.2, "m/s"),
+        at_most("lateral p50", 100.0 * _percentile(rows, lateral, 50), 3.0, "cm", 2),
+        at_most("lateral p95", 100.0 * _percentile(rows, lateral, 95), 8.0, "cm", 2),
+        at_most("vertical p50", _percentile(rows, "vertical_speed_m_s", 50), 0.2, "m/s", 2),
     ]
 
 
@@ -113,8 +108,8 @@ def as_built_bars(rows: Sequence[Row]) -> list[Bar]:
     return [
         landed_share("as built landed", rows, 0.97),
         unplanned_bar("as built", rows),
-        at_most("as built lateral p50", 100.0 * _percentile(rows, lateral, 50), 3.0, "cm"),
-        at_most("as built lateral p95", 100.0 * _percentile(rows, lateral, 95), 10.0, "cm"),
+        at_most("as built lateral p50", 100.0 * _percentile(rows, lateral, 50), 3.0, "cm", 2),
+        at_most("as built lateral p95", 100.0 * _percentile(rows, lateral, 95), 10.0, "cm", 2),
     ]
 
 
@@ -124,9 +119,9 @@ def peer_bars(name: str, rows: Sequence[Row]) -> list[Bar]:
         return [landed_share(name, rows, 0.95)]
     return [
         landed_share(name, rows, 1.0),
-        at_most(f"{name} lateral p50", 100.0 * _percentile(rows, "touchdown_lateral_m", 50), 2.0, "cm"),
-        at_most(f"{name} vertical p50", _percentile(rows, "vertical_speed_m_s", 50), 0.25, "m/s"),
-        at_most(f"{name} time p50", _seconds(rows), PEER_TIME_S, "s"),
+        at_most(f"{name} lateral p50", 100.0 * _percentile(rows, "touchdown_lateral_m", 50), 2.0, "cm", 2),
+        at_most(f"{name} vertical p50", _percentile(rows, "vertical_speed_m_s", 50), 0.25, "m/s", 2),
+        at_most(f"{name} time p50", _seconds(rows), PEER_TIME_S, "s", 2),
     ]
 
 

@@ -32,7 +32,7 @@ from companion.link.transport import memory_pair
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.campaign.tables import Bar
+from sitl.campaign.tables import Bar, at_most
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.framing import FrameReader
 from sitl.run.in_process import InProcess
@@ -170,7 +170,7 @@ def rows(name: str, grants: Sequence[Grant]) -> list[str]:
 def bar(name: str, grants: Sequence[Grant]) -> Bar:
     """The bar on the worst fall; control has to have been taken somewhere."""
     worst_m = max((g.fall_m for g in grants if g.began_s is not None), default=float("inf"))
-    return Bar(f"{name} fall at the grant", f"{worst_m:.2f} (<= {MOST_FALL_M:g}) m", worst_m <= MOST_FALL_M)
+    return at_most(f"{name} fall at the grant", worst_m, MOST_FALL_M, "m", 2)
 
 
 def main(arguments: Sequence[str] | None = None) -> BenchReport:

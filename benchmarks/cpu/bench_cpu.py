@@ -12,7 +12,6 @@ Prints a table and the bars, and ends in one line that says which hold; the exit
 """
 
 import argparse
-import math
 import resource
 import tempfile
 from collections.abc import Sequence
@@ -34,6 +33,7 @@ from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import fly
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
+from sitl.campaign.tables import Bar, at_most
 
 SMOKE: Final = ("--fast", "--scenario", "static")
 CORE_PERCENT: Final = 40.0
@@ -66,27 +66,6 @@ class FlightSpan:
             self.spent_s, self.calls = dict(self.watch.spent_s), dict(self.watch.calls)
 
 
-@dataclass(frozen=True)
-class CostBar:
-    """A figure and the most that it may be."""
-
-    name: str
-    measured: float
-    most: float
-    unit: str
-
-    @property
-    def holds(self) -> bool:
-        """Whether it is no more."""
-        return self.measured <= self.most
-
-    def __str__(self) -> str:
-        if math.isnan(self.measured):
-            return f"{self.name} NOT MEASURED"
-        word = "holds" if self.holds else "FAILS"
-        return f"{self.name} {self.measured:.1f} {self.unit} (at most {self.most:g}) {word}"
-
-
 def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
@@ -110,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     report.show(_parts(span, fast=chosen.fast))
     found = _bars(span, log, trial, report, fast=chosen.fast)
     landed = flight.report.outcome is Outcome.LANDED
-    return report.judge([*found, CostBar("landings missed", float(not landed), 0.0, "")])
+    return report.judge([*found, at_most("landings missed", float(not landed), 0.0)])
 
 
 def _parts(span: FlightSpan, *, fast: bool) -> Table:
@@ -134,10 +113,8 @@ def _share(span: FlightSpan, *, fast: bool) -> float:
     return (sum(span.spent_s.values()) if fast else span.cpu_s) / span.flown_s
 
 
-def _bars(
-    span: FlightSpan, log: FlightLog, trial: Trial, report: BenchReport, *, fast: bool
-) -> list[CostBar]:
-    bars = [CostBar("CPU", 100.0 * _share(span, fast=fast), CORE_PERCENT, "% of a core")]
+def _bars(span: FlightSpan, log: FlightLog, trial: Trial, report: BenchReport, *, fast: bool) -> list[Bar]:
+    bars = [at_most("CPU", 100.0 * _share(span, fast=fast), CORE_PERCENT, "% of a core")]
     if fast:
         return bars
     delays = latency(log.kept["setpoint"], log.kept["control_report"])
@@ -154,8 +131,8 @@ def _bars(
     report.show(f"longest callbacks, ms: {shown}; {held} of {len(longest)} above {LOOP_MS:g} ms")
     return [
         *bars,
-        CostBar("exposure to setpoint p99", exposure_p99 - camera_ms, LATENCY_MS, "ms"),
-        CostBar("event loop's delay p99", delays.cycle_late_p99, LOOP_MS, "ms"),
+        at_most("exposure to setpoint p99", exposure_p99 - camera_ms, LATENCY_MS, "ms"),
+        at_most("event loop's delay p99", delays.cycle_late_p99, LOOP_MS, "ms"),
     ]
 
 

@@ -35,7 +35,7 @@ from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.campaign.tables import Bar
+from sitl.campaign.tables import Bar, at_most
 from sitl.run.in_process import InProcess
 from sitl.scenario.scenario import Scenario, load_scenario
 
@@ -172,9 +172,9 @@ def bars(minutes: Sequence[Minute], wanted: int, ended: str) -> list[Bar]:
     tasks = max(m.tasks for m in late) - max(m.tasks for m in early) if warm else 0
     return [
         Bar("flown", f"{len(minutes)} of {wanted} min {ended}".strip(), len(minutes) == wanted),
-        Bar("memory", f"{grown:+.1f} MB, at most {GROWN_MB:g},", grown <= GROWN_MB),
-        Bar("cost of a step, last third over first", f"{slower:.2f}, at most {SLOWER:g},", slower <= SLOWER),
-        Bar("tasks", f"{tasks:+d}", tasks <= 0),
+        at_most("memory grown", grown, GROWN_MB, "MB"),
+        at_most("cost of a step, last third over first", slower, SLOWER, digits=2),
+        at_most("tasks more", tasks, 0, digits=0),
     ]
 
 

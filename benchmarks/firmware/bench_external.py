@@ -30,7 +30,7 @@ from rich.table import Table
 from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER, ConfigError
-from sitl.campaign.tables import Bar
+from sitl.campaign.tables import Bar, at_most
 from sitl.firmware.process import Process
 
 SMOKE: Final = ("--flights", "1", "--scenarios", "static")
@@ -223,10 +223,8 @@ def shown(flights: Sequence[Flight]) -> tuple[Table, list[Bar]]:
             f"{speeds[0]:.2f} {speeds[1]:.2f}", str(broken), str(sum(row["lost_starts"] for row in rows)),
         )  # fmt: skip
         bars.append(Bar(f"{name} landed", f"{len(landed)} of {len(rows)} (all)", len(landed) == len(rows)))
-        bars.append(Bar(f"{name} p50", f"{median:.1f} (<= {MEDIAN_CM:g}) cm", median <= MEDIAN_CM))
-        bars.append(
-            Bar(f"{name} broken commits", f"{broken} (<= {BROKEN_COMMITS})", broken <= BROKEN_COMMITS)
-        )
+        bars.append(at_most(f"{name} p50", median, MEDIAN_CM, "cm"))
+        bars.append(at_most(f"{name} broken commits", broken, BROKEN_COMMITS, digits=0))
     return table, bars
 
 

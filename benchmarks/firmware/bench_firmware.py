@@ -30,7 +30,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError, Kind
 from sitl.campaign.manifest import CampaignRun, code_digest, scenario_digest
 from sitl.campaign.rows import Row
-from sitl.campaign.tables import Bar, print_worst, values
+from sitl.campaign.tables import Bar, at_most, print_worst, values
 from sitl.firmware.spec import FirmwareSpec
 from sitl.scenario.scenario import Scenario
 
@@ -47,7 +47,7 @@ def median_bar(name: str, case: FirmwareCase, rows: Sequence[Row]) -> Bar:
     limit = WINDY_MEDIAN_CM if case.windy else CALM_MEDIAN_CM
     lateral = values(rows, "touchdown_lateral_m")
     median = 100.0 * float(np.median(lateral)) if lateral else float("inf")
-    return Bar(f"{name} lateral p50", f"{median:.1f} (<= {limit:g}) cm", median <= limit)
+    return at_most(f"{name} lateral p50", median, limit, "cm")
 
 
 def line(name: str, rows: Sequence[Row]) -> list[str]:

@@ -19,7 +19,7 @@ from rich.table import Table
 from benchmarks.mutations.targets import gps, imu, link, texts, trees, ultrasonic
 from benchmarks.report import BenchReport, resident_mb
 from companion.base.clock import wall_clock_s
-from sitl.campaign.tables import Bar
+from sitl.campaign.tables import Bar, at_most
 
 SMOKE: Final = ("--count", "200")
 Target = Callable[[random.Random], Iterator[None]]
@@ -102,6 +102,6 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     inputs = sum(found.inputs for found in results)
     bars = [
         Bar("exceptions that are not ours", f"{failures} of {inputs} inputs", failures == 0),
-        Bar("memory, most grown", f"{grown_mb:.1f} MB, at most {MEMORY_MB:g},", grown_mb <= MEMORY_MB),
+        at_most("memory, most grown", grown_mb, MEMORY_MB, "MB"),
     ]
     return report.judge(bars)

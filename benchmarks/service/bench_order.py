@@ -33,11 +33,11 @@ from typing import Any, Final
 import numpy as np
 from mcap.reader import make_reader
 
-from benchmarks.cpu.bench_cpu import CostBar
 from benchmarks.report import BenchReport
 from benchmarks.service.running import NEAR, ROOT, stage
 from companion.base.geometry import FloatArray
 from companion.flightlog.flights_recorder import KEPT_S
+from sitl.campaign.tables import Bar, at_most
 
 SMOKE: Final = ("--kept-s", "3")
 NEEDS: Final = "the machine to itself"
@@ -133,13 +133,13 @@ class OrderTiming:
             f"IMU gaps: before {sum(gaps)}, most of a window {max(gaps)}; after {self.after.imu_gaps}",
         ]
 
-    def bars(self) -> list[CostBar]:
+    def bars(self) -> list[Bar]:
         """What the order adds."""
         later_ms = float(self.after.late_ms.max() - np.median(self.floor_ms))
         gaps = self.after.imu_gaps - float(np.median([window.imu_gaps for window in self.before]))
         return [
-            CostBar("latest cycle after the order, beyond that of a window before", later_ms, LATE_MS, "ms"),
-            CostBar("gaps of the IMU after the order, beyond those of a window before", gaps, 0.0, ""),
+            at_most("latest cycle after the order, beyond that of a window before", later_ms, LATE_MS, "ms"),
+            at_most("gaps of the IMU after the order, beyond those of a window before", gaps, 0.0),
         ]
 
 

@@ -25,8 +25,8 @@ from typing import Final
 import aiohttp
 from mcap.reader import make_reader
 
-from benchmarks.cpu.bench_cpu import CostBar
 from benchmarks.report import BenchReport
+from sitl.campaign.tables import Bar, at_most
 from tests.browser import PHONE, Tab, browser, program
 from tests.scenario.flying import COMMAND, ROOT, environment
 
@@ -75,8 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     return report.judge(asyncio.run(_bench(chosen, report)))
 
 
-async def _bench(chosen: argparse.Namespace, report: BenchReport) -> list[CostBar]:
-    bars: list[CostBar] = []
+async def _bench(chosen: argparse.Namespace, report: BenchReport) -> list[Bar]:
+    bars: list[Bar] = []
     if chosen.part != "pixel":
         bars += await _load_bars(chosen, report)
     if chosen.part != "load":
@@ -84,20 +84,20 @@ async def _bench(chosen: argparse.Namespace, report: BenchReport) -> list[CostBa
     return bars
 
 
-async def _load_bars(chosen: argparse.Namespace, report: BenchReport) -> list[CostBar]:
+async def _load_bars(chosen: argparse.Namespace, report: BenchReport) -> list[Bar]:
     flown: dict[int, list[PageFlight]] = {0: [], MANY: [], 1: []}
     for number in range(chosen.rounds):
         for viewers, flights in flown.items():
             flights.append(await _fly(chosen.scenario, chosen.seed + number, viewers))
             report.show(flights[-1])
     return [
-        CostBar("CPU of the page while nobody looks", _mean(flown[0], "page_percent"), IDLE_PERCENT, "%"),
-        CostBar("CPU for one viewer", _viewer_percent(flown), VIEWER_PERCENT, "% of a core"),
+        at_most("CPU of the page while nobody looks", _mean(flown[0], "page_percent"), IDLE_PERCENT, "%"),
+        at_most("CPU for one viewer", _viewer_percent(flown), VIEWER_PERCENT, "% of a core"),
         _late_bar(flown[0], flown[MANY]),
     ]
 
 
-async def _pixel_bars(chosen: argparse.Namespace, report: BenchReport) -> list[CostBar]:
+async def _pixel_bars(chosen: argparse.Namespace, report: BenchReport) -> list[Bar]:
     ordered: list[float] = []
     if program() is None:
         report.show("Chromium is not installed; expected it for the delay to the pixel")
@@ -106,7 +106,7 @@ async def _pixel_bars(chosen: argparse.Namespace, report: BenchReport) -> list[C
         report.show(looked)
         ordered = sorted(looked.latencies_ms)
     return [
-        CostBar(
+        at_most(
             f"from exposure to pixel, {name}",
             ordered[round(share * (len(ordered) - 1))] if ordered else math.nan,
             PIXEL_MS,
@@ -126,11 +126,11 @@ def _viewer_percent(flown: dict[int, list[PageFlight]]) -> float:
     return _mean(flown[1], "page_percent") + max(0.0, more)
 
 
-def _late_bar(without: list[PageFlight], many: list[PageFlight]) -> CostBar:
+def _late_bar(without: list[PageFlight], many: list[PageFlight]) -> Bar:
     """Late cycles, no more than without viewers within two standard deviations of such counts."""
     few, lot = sum(f.late for f in without), sum(f.late for f in many)
     most = few + 2.0 * math.sqrt(few + lot)
-    return CostBar(f"late cycles with {MANY} viewers (without: {few})", lot, most, "")
+    return at_most(f"late cycles with {MANY} viewers (without: {few})", lot, most)
 
 
 # ---------------------------------------------------------------- one landing

@@ -33,10 +33,10 @@ from typing import Final
 import numpy as np
 from mcap.reader import make_reader
 
-from benchmarks.cpu.bench_cpu import CostBar
 from benchmarks.report import BenchReport
 from benchmarks.service.running import NEAR, Stage, stage
 from companion.base.messages import Phase
+from sitl.campaign.tables import Bar, at_most
 from tests.scenario.standing_by import StoryField, stand_by
 
 SMOKE: Final = ("--part", "orders", "--orders", "1")
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     parser.add_argument("--orders", type=int, default=ORDERS)
     chosen = parser.parse_args(arguments)
     report = BenchReport()
-    bars: list[CostBar] = []
+    bars: list[Bar] = []
     if chosen.part in (None, "landing"):
         bars += _landing(chosen.scenario, report)
     if chosen.part in (None, "orders"):
@@ -73,23 +73,23 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
 # ---------------------------------------------------------------- one landing, real time
 
 
-def _landing(scenario: str, report: BenchReport) -> list[CostBar]:
+def _landing(scenario: str, report: BenchReport) -> list[Bar]:
     with (
         tempfile.TemporaryDirectory(prefix="service-") as folder,
         stage(Path(folder), scenario, 0) as on,
     ):
-        bars = [CostBar("start to standby", on.start_service(), START_S, "s")]
+        bars = [at_most("start to standby", on.start_service(), START_S, "s")]
         on.wait_until(None, healthy=True)
-        bars.append(CostBar("CPU in standby", _standby_percent(on), STANDBY_PERCENT, "% of a core"))
-        bars.append(CostBar("CPU in a landing", _landing_percent(on), LANDING_PERCENT, "% of a core"))
-        bars.append(CostBar("memory, largest", _memory_mb(on), MEMORY_MB, "MB"))
+        bars.append(at_most("CPU in standby", _standby_percent(on), STANDBY_PERCENT, "% of a core"))
+        bars.append(at_most("CPU in a landing", _landing_percent(on), LANDING_PERCENT, "% of a core"))
+        bars.append(at_most("memory, largest", _memory_mb(on), MEMORY_MB, "MB"))
         on.end_service()  # which finishes the log
         delays = read_delays(Path(folder) / "flights" / "flight-0001" / "flight.mcap")
     for line in delays.lines():
         report.show(line)
     return [
         *bars,
-        CostBar("exposure to setpoint p99, beyond the camera", delays.beyond_ms, LATENCY_MS, "ms"),
+        at_most("exposure to setpoint p99, beyond the camera", delays.beyond_ms, LATENCY_MS, "ms"),
     ]
 
 
@@ -213,7 +213,7 @@ class HeldMemory:
         return sum(max(0, now - before) for now, before in pairs)
 
 
-def _many_orders(count: int) -> list[CostBar]:
+def _many_orders(count: int) -> list[Bar]:
     """Landings in one run: refused on the ground, every other one taken by the pilot first, landed."""
     held: list[HeldMemory] = []
 
@@ -239,8 +239,8 @@ def _many_orders(count: int) -> list[CostBar]:
         recorded = len(list(Path(folder).glob("flight-*/flight.mcap")))
     first, last = held[0], held[-1]
     return [
-        CostBar(f"of {count} ordered landings not flown", count - len(held), 0.0, ""),
-        CostBar("flights without a log", count + count // 2 - recorded, 0.0, ""),
-        CostBar("tasks, threads and files gained since the first", last.more_than(first), 0.0, ""),
-        CostBar("memory gained since the first", last.memory_mb - first.memory_mb, GROWTH_MB, "MB"),
+        at_most(f"of {count} ordered landings not flown", count - len(held), 0.0),
+        at_most("flights without a log", count + count // 2 - recorded, 0.0),
+        at_most("tasks, threads and files gained since the first", last.more_than(first), 0.0),
+        at_most("memory gained since the first", last.memory_mb - first.memory_mb, GROWTH_MB, "MB"),
     ]

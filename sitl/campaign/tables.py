@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -197,6 +198,12 @@ class Bar:
         return f"{self.name} {self.measured} {'holds' if self.holds else 'FAILS'}"
 
 
+def at_most(name: str, value: float, limit: float, unit: str = "", digits: int = 1) -> Bar:
+    """A bar on a figure, which may be no more; NaN: it was not measured."""
+    shown = "NOT MEASURED" if math.isnan(value) else f"{value:.{digits}f} (<= {limit:g}) {unit}".rstrip()
+    return Bar(name, shown, value <= limit)
+
+
 def bars(rows: Sequence[Row]) -> list[Bar]:
     """The landings against the project's acceptance criteria; medians per scenario."""
     landed = sum(row.landed for row in rows)
@@ -211,6 +218,6 @@ def bars(rows: Sequence[Row]) -> list[Bar]:
     return [Bar("landed", f"{landed} of {len(rows)}", landed == len(rows) > 0)] + [
         Bar(name, f"- (<= {limit:g} {unit})", holds=False)
         if value is None
-        else Bar(name, f"{value:.3f} (<= {limit:g}) {unit}", value <= limit)
+        else at_most(name, value, limit, unit, digits=3)
         for name, value, limit, unit in measured
     ]
