@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from benchmarks.cpu.cpu_watch import CpuWatch
+from benchmarks.cpu.cpu_watch import LOOP_METHODS, METHODS, CpuWatch
 from benchmarks.report import BenchReport
 from companion.app.app import Status
 from companion.base.clock import start_unix_s
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=chosen.fast)
     sense: dict[str, Any] = {"sense": {"source": chosen.sense}}
     settings = validate(CompanionConfig, merge(settings.model_dump(), sense), "bench")
-    span = FlightSpan(CpuWatch(loop=not chosen.fast))
+    span = FlightSpan(CpuWatch(METHODS if chosen.fast else {**METHODS, **LOOP_METHODS}))
     with tempfile.TemporaryDirectory() as folder, span.watch.watching():
         log = FlightLog(Path(folder) if chosen.record else None, start_unix_s(virtual=chosen.fast))
         flight = fly(settings, trial, log, span, fast=chosen.fast)

@@ -13,13 +13,11 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import hashlib
 import math
 import time
-import zlib
-from collections import defaultdict, deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -27,24 +25,18 @@ import cv2
 from pymavlink.dialects.v20 import common as mavlink
 from rich.table import Table
 
+from benchmarks.cpu.cpu_watch import SITL_METHODS, CpuWatch, Methods
 from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import Vector3
 from companion.base.messages import Frame
-from sitl.autopilot.flight.autopilot import SimulatedAutopilot
-from sitl.camera.camera import CameraModel
 from sitl.campaign.tables import Bar
 from sitl.devices.ports import MemoryPort
-from sitl.devices.rack import SensorRack
-from sitl.mavlink.network import Network
 from sitl.pad.paths import CircleMotion, Meeting
 from sitl.run.simulation import PHYSICS_STEP_S, Simulation
-from sitl.scenario.scenario import PadSettings, Scenario
-from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.world.contact import Contact
+from sitl.scenario.scenario import USUAL_HOMES, PadSettings, Scenario
 from sitl.world.wind import WindSettings
-from sitl.world.world import World
 
 SMOKE: Final = ("--runs", "1")
 BARE_FACTOR: Final = 40.0
@@ -52,47 +44,13 @@ CAMERA_FACTOR: Final = 8.0
 LEAST_PHYSICS_HZ: Final = 400.0
 FLOWN_M: Final = 2.0
 RUNS: Final = 3
+CLIENT: Final = "client"
 REST: Final = "event loop, ticks, log"
 
 
 def at_least(name: str, value: float, least: float) -> Bar:
     """A bar on a figure, which may be no less."""
     return Bar(name, f"{value:.1f} (>= {least:g})", value >= least)
-
-
-class Watch:
-    """Adds up the time spent in methods by part, without that of watched methods within them."""
-
-    def __init__(self) -> None:
-        self.spent_s: defaultdict[str, float] = defaultdict(float)
-        self._inner_s: list[float] = []
-
-    @contextmanager
-    def watching(self) -> Iterator[None]:
-        """While inside, the methods of `PARTS` are timed."""
-        found = [(owner, name, getattr(owner, name)) for methods in PARTS.values() for owner, name in methods]
-        for part, methods in PARTS.items():
-            for owner, name in methods:
-                setattr(owner, name, self._timed(part, getattr(owner, name)))
-        try:
-            yield
-        finally:
-            for owner, name, method in found:
-                setattr(owner, name, method)
-
-    def _timed(self, part: str, method: Callable[..., Any]) -> Callable[..., Any]:
-        def timed(*arguments: Any, **named: Any) -> Any:
-            self._inner_s.append(0.0)
-            started_s = time.perf_counter()
-            try:
-                return method(*arguments, **named)
-            finally:
-                spent_s = time.perf_counter() - started_s
-                self.spent_s[part] += spent_s - self._inner_s.pop()
-                if self._inner_s:
-                    self._inner_s[-1] += spent_s
-
-        return timed
 
 
 def main(arguments: Sequence[str] | None = None) -> BenchReport:
@@ -109,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     for camera in (False, True):
         flown = [fly(chosen.autopilot, chosen.seed, camera=camera) for _ in range(chosen.runs)]
         flights[camera] = max(flown, key=lambda flight: flight.whole.real_time_factor)
-        watch = Watch()
+        watch = CpuWatch(PARTS)
         with watch.watching():
             fly(chosen.autopilot, chosen.seed, camera=camera)
         parts[camera] = _scaled(watch.spent_s, 1e3 / flights[camera].whole.real_time_factor)
@@ -119,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
 
 def _scaled(spent_s: dict[str, float], total_ms: float) -> dict[str, float]:
     """ms of a simulated second by part, the client's left out."""
-    own = {part: spent_s.get(part, 0.0) for part in PARTS if part != "client"}
+    own = {part: spent_s.get(part, 0.0) for part in PARTS if part != CLIENT}
     whole_s = sum(own.values())
     return {part: total_ms * value / whole_s for part, value in own.items()}
 
@@ -191,7 +149,7 @@ class FlightStage(NamedTuple):
 
 @dataclass(frozen=True)
 class SpeedFlight:
-    """What was measured; `digest` is of the bytes that the vehicle sent and the sums of its frames."""
+    """What was measured."""
 
     whole: FlightStage
     stages: dict[str, FlightStage]
@@ -199,7 +157,6 @@ class SpeedFlight:
     frames: int
     highest_m: float
     away_m: dict[str, float]
-    digest: str
 
 
 def scenario(autopilot_kind: AutopilotKind) -> Scenario:
@@ -229,7 +186,6 @@ class SpeedClient:
     def __init__(self, autopilot_kind: AutopilotKind) -> None:
         self.spent_s = 0.0
         self.position: Vector3 | None = None
-        self.digest = hashlib.sha256()
         self._autopilot_kind = autopilot_kind
         self._mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         self._parser = mavlink.MAVLink(None)
@@ -248,7 +204,6 @@ class SpeedClient:
     def write(self, data: bytes) -> None:
         """Bytes from the vehicle."""
         started_s = time.process_time()
-        self.digest.update(data)
         for message in self._parser.parse_buffer(data) or []:
             if message.get_msgId() == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
                 self.position = (message.x, message.y, message.z)
@@ -261,8 +216,10 @@ class SpeedClient:
         if self._autopilot_kind == "ardupilot":
             self._command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, *_GUIDED)
         self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
-        height_m = HIGH_M + (0.0 if self._autopilot_kind == "ardupilot" else 400.0)
-        self._command(mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, math.nan, math.nan, math.nan, height_m)
+        over_sea_m = 0.0 if self._autopilot_kind == "ardupilot" else USUAL_HOMES["px4"][2]
+        self._command(
+            mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, math.nan, math.nan, math.nan, over_sea_m + HIGH_M
+        )
 
     def follow(self) -> None:
         """From now on the streamed velocities count."""
@@ -303,16 +260,10 @@ class SpeedClient:
         self._arrived.set()
 
 
-PARTS: Final[dict[str, tuple[tuple[type[Any], str], ...]]] = {
-    "physics": ((World, "step"), (World, "truth")),
-    "contact": ((Contact, "step"),),
-    "autopilot": ((SimulatedAutopilot, "step"),),
-    "sensor chips": ((SensorRack, "step"),),
-    "autopilot's own sensors": ((SimulatedAutopilotSensors, "step"),),
-    "MAVLink": (*((Network, "receive"), (Network, "transmit")),),
-    "rendering": ((CameraModel, "render"),),
-    "client": ((SpeedClient, "write"), (SpeedClient, "stream")),
-    REST: ((Simulation, "_tick"),),
+PARTS: Final[Methods] = {
+    **SITL_METHODS,
+    CLIENT: ((SpeedClient, ("write", "stream")),),
+    REST: ((Simulation, ("_tick",)),),
 }
 
 
@@ -331,12 +282,9 @@ def fly(autopilot_kind: AutopilotKind, seed: int, *, camera: bool) -> SpeedFligh
 async def _fly(autopilot_kind: AutopilotKind, seed: int, *, camera: bool) -> SpeedFlight:
     client, clock, frames = SpeedClient(autopilot_kind), Clock(), 0
 
-    def deliver(frame: Frame) -> None:
+    def deliver(_frame: Frame) -> None:
         nonlocal frames
         frames += 1
-        started_s = time.process_time()
-        client.digest.update(zlib.crc32(frame.image.data).to_bytes(4, "big"))
-        client.spent_s += time.process_time() - started_s
 
     simulation = Simulation(
         scenario(autopilot_kind),
@@ -376,7 +324,7 @@ async def _fly(autopilot_kind: AutopilotKind, seed: int, *, camera: bool) -> Spe
         await world
     stages = {name: _stage(costs, *times) for name, times in STAGES.items()}
     whole = FlightStage(clock.now_s() - READY_S, ended_s - begun_s)
-    return SpeedFlight(whole, stages, END_S, frames, highest_m, away, client.digest.hexdigest())
+    return SpeedFlight(whole, stages, END_S, frames, highest_m, away)
 
 
 def _vehicle_s(client: SpeedClient) -> float:

@@ -27,7 +27,16 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from benchmarks.cpu.cpu_watch import GARBAGE, LOOP, METHODS, TASKS, CpuWatch, Methods
+from benchmarks.cpu.cpu_watch import (
+    GARBAGE,
+    LOOP,
+    LOOP_METHODS,
+    METHODS,
+    SITL_METHODS,
+    TASKS,
+    CpuWatch,
+    Methods,
+)
 from benchmarks.report import BenchReport
 from companion.app.app import App
 from companion.base.clock import VirtualTimeLoop
@@ -37,14 +46,7 @@ from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import fly
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.autopilot.flight.autopilot import SimulatedAutopilot
-from sitl.camera.camera import CameraModel
-from sitl.devices.mpu9250 import Mpu9250Device
-from sitl.devices.rack import SensorRack
-from sitl.mavlink.network import Network
 from sitl.run.in_process import InProcess
-from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.world.world import World
 
 SMOKE: Final = ("--scenario", "static", "--time-limit", "5")
 REAL_TIME_FACTOR: Final = 3.0
@@ -53,17 +55,11 @@ START: Final = "app: made"
 APP_TASKS: Final = "app: tasks between the stages"
 SITL_TASKS: Final = "SITL: tasks, ticks"
 PARTS: Final[Methods] = {
+    **METHODS,
+    **LOOP_METHODS,
     START: ((App, ("__init__",)),),
     "SITL: made": ((InProcess, ("__init__",)),),
-    "SITL: world": ((World, ("step", "truth")),),
-    "SITL: autopilot": ((SimulatedAutopilot, ("step",)),),
-    "SITL: sensors and devices": (
-        (SensorRack, ("step",)),
-        (SimulatedAutopilotSensors, ("step",)),
-        (Mpu9250Device, ("read", "write")),
-    ),
-    "SITL: rendering": ((CameraModel, ("_surface", "_node_map", "_draw", "_through_lens", "_expose")),),
-    "SITL: MAVLink": ((Network, ("receive", "transmit")),),
+    **SITL_METHODS,
 }
 ONCE: Final = (START, "SITL: made")  # for a flight, however long
 IMPORTS: Final = {
@@ -131,7 +127,7 @@ def measure(scenario: str, seed: int, time_limit_s: float | None = None) -> dict
         flown = trial.scenario.model_copy(update={"time_limit_s": time_limit_s})
         trial = Trial(trial.path, flown, seed)
     settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
-    watch = CpuWatch(loop=True, others=PARTS)
+    watch = CpuWatch(PARTS)
     make_task = VirtualTimeLoop.create_task
 
     def create_task(self: VirtualTimeLoop, coro: Any, **named: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Whose CPU it was: the app's methods by part, in each thread, and the event loop's longest callbacks.
+"""Whose CPU it was: app's and simulator's methods by part, by thread, and the loop's longest callbacks.
 
 A part's share leaves out what watched methods within it take. Time is the thread's CPU time, so that a busy
 machine changes nothing but what it does to a CPU second.
@@ -22,6 +22,14 @@ from companion.sense.gps.neo6m import Neo6m
 from companion.sense.imu.mpu9250 import Mpu9250
 from companion.sense.range.ultrasonic import Ultrasonic
 from companion.sense.vision.pipeline import Vision
+from sitl.autopilot.flight.autopilot import SimulatedAutopilot
+from sitl.camera.camera import CameraModel
+from sitl.devices.mpu9250 import Mpu9250Device
+from sitl.devices.rack import SensorRack
+from sitl.mavlink.network import Network
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
+from sitl.world.contact import Contact
+from sitl.world.world import World
 
 TASKS: Final = "tasks between the stages"
 LOOP: Final = "event loop"
@@ -49,6 +57,18 @@ LOOP_METHODS: Final[Methods] = {
     TASKS: ((asyncio.Handle, ("_run",)),),
     LOOP: ((asyncio.BaseEventLoop, ("_run_once",)),),
 }
+SITL_METHODS: Final[Methods] = {
+    "SITL: world": ((World, ("step", "truth")),),
+    "SITL: contact": ((Contact, ("step",)),),
+    "SITL: autopilot": ((SimulatedAutopilot, ("step",)),),
+    "SITL: sensors and devices": (
+        (SensorRack, ("step",)),
+        (SimulatedAutopilotSensors, ("step",)),
+        (Mpu9250Device, ("read", "write")),
+    ),
+    "SITL: rendering": ((CameraModel, ("_surface", "_node_map", "_draw", "_through_lens", "_expose")),),
+    "SITL: MAVLink": ((Network, ("receive", "transmit")),),
+}
 
 
 class Callback(NamedTuple):
@@ -61,14 +81,14 @@ class Callback(NamedTuple):
 class CpuWatch:
     """Adds up the CPU spent in methods by part, in all threads."""
 
-    def __init__(self, *, loop: bool, others: Methods | None = None) -> None:
-        """`loop`: with the event loop's own share and its callbacks; `others`: parts beside the app's."""
+    def __init__(self, methods: Methods) -> None:
+        """`methods` by part; with `LOOP_METHODS` among them the loop's callbacks are told, too."""
         self.spent_s: defaultdict[str, float] = defaultdict(float)
         self.by_thread_s: defaultdict[str, float] = defaultdict(float)
         self.calls: defaultdict[str, int] = defaultdict(int)
         self.longest_s: defaultdict[str, float] = defaultdict(float)
         self.callbacks: list[Callback] = []
-        self._methods = {**METHODS, **(LOOP_METHODS if loop else {}), **(others or {})}
+        self._methods = methods
         self._lock = threading.RLock()  # a collection may strike while it is held
         self._thread = threading.local()
 
