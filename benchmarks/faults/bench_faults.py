@@ -21,13 +21,13 @@ from typing import Final, get_args
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from benchmarks.faults.cases import CASES, PHASES, FaultRun, all_runs, one_each
+from benchmarks.faults.cases import CASES, PHASES, FaultRow, FaultRun, all_runs, one_each
 from benchmarks.faults.fault_flight import flown_alone, fly_run, fly_together
 from benchmarks.faults.forks import Forks
 from benchmarks.faults.judge import OUTCOMES, SafetyVerdict
-from benchmarks.faults.runs_file import FaultRow, FaultRunsFile, flights_key
 from benchmarks.faults.witness import WitnessedFlight
 from benchmarks.report import BenchReport
+from benchmarks.rows_file import RowsFile, flights_key
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.campaign.tables import Bar
 from sitl.run.process_control import terminated_as_interrupted
@@ -51,9 +51,8 @@ def row_of(run: FaultRun, code: str, verdict: SafetyVerdict, record: WitnessedFl
     named = (text for text in reversed(texts) if names_it(run.fault, text))
     said = next(named, texts[-1] if texts else "")
     ended_s = round(record.app_ended_s or record.samples[-1].time_s, 1)
-    return FaultRow(
-        *run, code, int(record.fault_began), verdict.outcome, "; ".join(verdict.unsafe), ended_s, said
-    )
+    unsafe = "; ".join(verdict.unsafe)
+    return FaultRow(*run, code, record.fault_began, verdict.outcome, unsafe, ended_s, said)
 
 
 def names_it(fault: str, text: str) -> bool:
@@ -62,7 +61,7 @@ def names_it(fault: str, text: str) -> bool:
 
 
 def print_failure(run: FaultRun) -> None:
-    """The bench's own fault."""
+    """The bench's own fault, the exception that is being handled."""
     traceback.print_exc()
     print(f"not flown: {', '.join(map(str, run))}", file=sys.stderr)
 
@@ -73,12 +72,8 @@ def fly_group(runs: Sequence[FaultRun], code: str, forks: Forks[FaultRow], take:
         flown = [
             (run, row_of(run, code, verdict, record)) for run, verdict, record in fly_together(runs, forks)
         ]
-    except Exception as error:
-        traceback.print_exc()
-        flying = runs if forks.mine is None else [forks.mine]
-        print(
-            f"not flown: {', '.join(map(str, flying[0]))}: {type(error).__name__}: {error}", file=sys.stderr
-        )
+    except Exception:
+        print_failure(forks.mine or runs[0])
         flown = []
     if forks.mine is not None:
         forks.deliver(flown[0][1] if flown else None)
@@ -116,7 +111,7 @@ def fly_all(runs: Sequence[FaultRun], code: str, jobs: int, take: Take) -> None:
 
 
 def fly_left(
-    left: Sequence[FaultRun], code: str, jobs: int, file: FaultRunsFile, report: BenchReport
+    left: Sequence[FaultRun], code: str, jobs: int, file: RowsFile[FaultRow], report: BenchReport
 ) -> dict[FaultRun, FaultRow]:
     """Fly and write down; what the bench could not fly is flown once more."""
     rows: dict[FaultRun, FaultRow] = {}
@@ -217,7 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     parser.add_argument("--out", type=Path, default=Path("flights/bench-faults"))
     options = parser.parse_args(arguments)
     report = BenchReport()
-    file, code = FaultRunsFile(options.out / "runs.csv"), flights_key()
+    file, code = RowsFile(options.out / "runs.jsonl", FaultRow), flights_key(Path(__file__).parent)
     choice = (options.faults, options.phases, options.scenarios, options.seeds)
     whole = list(all_runs(*choice, options.autopilots))
     asked = whole if options.each is None else one_each(*choice, options.each, options.autopilots)

@@ -244,6 +244,32 @@ class FaultRun(NamedTuple):
     autopilot: AutopilotKind = "px4"
 
 
+@dataclass(frozen=True, slots=True)
+class FaultRow:
+    """A flight that was flown: by which state of the code, and how it ended.
+
+    `began` is False when the flight was over before the fault. `said` is the app's last text, `ended_s` when
+    the app ended.
+    """
+
+    fault: str
+    phase: PhaseName
+    scenario: str
+    seed: int
+    autopilot: AutopilotKind
+    code: str
+    began: bool
+    outcome: str
+    unsafe: str
+    ended_s: float
+    said: str
+
+    @property
+    def run(self) -> FaultRun:
+        """What was flown."""
+        return FaultRun(self.fault, self.phase, self.scenario, self.seed, self.autopilot)
+
+
 def all_runs(
     faults: Sequence[str],
     phases: Sequence[str],

@@ -27,10 +27,10 @@ from typing import Final
 
 from rich.table import Table
 
-from benchmarks.faults.runs_file import flights_key
 from benchmarks.report import BenchReport
+from benchmarks.rows_file import RowsFile, flights_key
 from benchmarks.service import judging
-from benchmarks.service.judging import KINDS, InterruptedTrial, Kind, TrialsFile, moment, reached
+from benchmarks.service.judging import KINDS, InterruptedTrial, Kind, moment, reached
 from benchmarks.service.running import NEAR, Stage, stage
 from sitl.run.process_control import read_report
 
@@ -65,9 +65,10 @@ def main(
     parser.add_argument("--out", type=Path, default=OUT)
     chosen = parser.parse_args(arguments)
     report = BenchReport()
-    file, code = TrialsFile(chosen.out / "trials.jsonl"), flights_key(bench=Path(__file__).parent)
+    file = RowsFile(chosen.out / "trials.jsonl", InterruptedTrial)
+    code = flights_key(Path(__file__).parent)
     asked = [(kind, seed) for seed in range(chosen.trials) for kind in KINDS]
-    done = file.read(code)
+    done = {(trial.kind, trial.seed): trial for trial in file.read(code)}
     by_s = time.monotonic() + 60.0 * (chosen.minutes or 1e6)
 
     def flown(key: tuple[Kind, int]) -> InterruptedTrial | None:

@@ -5,7 +5,6 @@ Times are seconds, monotonic, as the witness has them. Each judge returns what i
 
 from __future__ import annotations
 
-import json
 import random
 import select
 import socket
@@ -14,7 +13,7 @@ import threading
 import time
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -141,7 +140,7 @@ def _listed(numbers: Iterable[int]) -> str:
 
 
 # ---------------------------------------------------------------- trials
-# The trials: which moment of a flight is interrupted how, and the file of those that are done.
+# The trials: which moment of a flight is interrupted how, and what is kept of one that is done.
 
 Kind = Literal["kill", "stop", "term"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
@@ -198,34 +197,6 @@ class InterruptedTrial:
     ordered_s: float
     failsafe_s: float | None
     found: tuple[str, ...]
-
-
-class TrialsFile:
-    """One line of JSON a trial; what an interruption has cut short was not flown."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def read(self, code: str) -> dict[tuple[Kind, int], InterruptedTrial]:
-        """The trials of this state of the code."""
-        lines = self._path.read_text(encoding="utf-8").splitlines() if self._path.exists() else []
-        trials = [trial for trial in map(_trial, lines) if trial is not None and trial.code == code]
-        return {(trial.kind, trial.seed): trial for trial in trials}
-
-    def append(self, trial: InterruptedTrial) -> None:
-        """Add one, at once."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        cut = self._path.exists() and not self._path.read_bytes().endswith(b"\n")
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write("\n" * cut + json.dumps(asdict(trial)) + "\n")
-
-
-def _trial(line: str) -> InterruptedTrial | None:
-    try:
-        told = json.loads(line)
-        return InterruptedTrial(**told | {"found": tuple(told["found"])})
-    except (ValueError, TypeError, KeyError):
-        return None
 
 
 # ---------------------------------------------------------------- witness

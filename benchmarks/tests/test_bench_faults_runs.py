@@ -11,13 +11,22 @@ import pytest
 
 from benchmarks.faults import fault_flight
 from benchmarks.faults.bench_faults import Take, bars, cell, main
-from benchmarks.faults.cases import CASES, PHASES, FaultRun, all_runs, one_each, scenario_of
+from benchmarks.faults.cases import (
+    CASES,
+    PHASES,
+    FaultRow,
+    FaultRun,
+    PhaseName,
+    all_runs,
+    one_each,
+    scenario_of,
+)
 from benchmarks.faults.computer import FaultyTracker
 from benchmarks.faults.fault_flight import flown_alone, on_disk
 from benchmarks.faults.forks import Forks
 from benchmarks.faults.judge import SafetyVerdict
-from benchmarks.faults.runs_file import FaultRow, FaultRunsFile, flights_key
 from benchmarks.faults.witness import TruthSample, WitnessedFlight
+from benchmarks.rows_file import RowsFile, flights_key
 from companion.base.motion import Motion
 from companion.config import CompanionConfig
 from companion.control.tracking import Target, TrackingSolution
@@ -90,13 +99,13 @@ def test_each_autopilot_has_its_own_parameters() -> None:
     ]
 
 
-def row(outcome: str, fault: str = "GPS lost", phase: str = "descend", **more: object) -> FaultRow:
+def row(outcome: str, fault: str = "GPS lost", phase: PhaseName = "descend", **more: object) -> FaultRow:
     values = {
         "scenario": "line",
         "seed": 0,
         "autopilot": "px4",
         "code": "abc",
-        "began": 1,
+        "began": True,
         "unsafe": "",
         "ended_s": 30.0,
         "said": "x",
@@ -109,7 +118,7 @@ def test_the_bars_count_unsafe_ends_and_landings_where_a_fault_leaves_one_possib
     assert [bar.holds for bar in bars([*good, row("held")])] == [True, True]
     assert [bar.holds for bar in bars([*good, row("held"), row("held")])] == [True, False]
     assert [bar.holds for bar in bars([*good, row("unsafe", "frames lost")])] == [False, True]
-    assert cell([row("landed"), row("landed"), row("unsafe", began=0)]) == (
+    assert cell([row("landed"), row("landed"), row("unsafe", began=False)]) == (
         "landed 2, unsafe 1 (1 before the fault)"
     )
 
@@ -123,26 +132,13 @@ def test_what_was_built_wrongly_and_is_not_landed_is_named() -> None:
     assert [bar.holds for bar in bars([*8 * [named], silent])] == [True, False]
 
 
-def test_what_is_written_is_read_again_and_a_torn_line_is_not(tmp_path: Path) -> None:
-    file = FaultRunsFile(tmp_path / "there" / "runs.csv")
-    rows = [row("landed"), row("unsafe", unsafe='crash; "x", y', seed=1)]
-    for one in rows:
-        file.append(one)
-    path = tmp_path / "there" / "runs.csv"
-    path.write_bytes(path.read_bytes()[:-12])
-    assert file.read("abc") == rows[:1]
-    file.append(rows[1])
-    assert file.read("abc") == rows
-    assert file.read("another state of the code") == []
-
-
 def landings(flown: list[FaultRun]) -> Callable[..., None]:
     """A `fly_group` whose flights all land."""
 
     def fly(runs: Sequence[FaultRun], code: str, _forks: Forks[FaultRow], take: Take) -> None:
         for run in runs:
             flown.append(run)
-            take(run, FaultRow(*run, code, 1, "landed", "", 30.0, "landed: disarmed"))
+            take(run, FaultRow(*run, code, True, "landed", "", 30.0, "landed: disarmed"))
 
     return fly
 
@@ -188,7 +184,8 @@ def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
     assert main().exit_status == 1
     assert [run.scenario for run in tries] == ["line", "circle"] * 2
     assert "unsafe ends 0 of 1 holds" in capsys.readouterr().out
-    assert [row.scenario for row in FaultRunsFile(tmp_path / "runs.csv").read(flights_key())] == ["line"]
+    code = flights_key(Path(fault_flight.__file__).parent)
+    assert [row.scenario for row in RowsFile(tmp_path / "runs.jsonl", FaultRow).read(code)] == ["line"]
 
 
 def test_one_flight_of_each_fault_in_each_phase_takes_scenarios_and_seeds_in_turn(
@@ -239,7 +236,7 @@ runs.append(FaultRun("GPS lost", "on_pad", "line", 0))
 rows = {}
 fly_all(runs, "abc", 1, rows.__setitem__)
 assert rows == {run: fly_alone(run, "abc") for run in runs}, rows
-print(*(rows[run].outcome for run in runs), *(rows[run].began for run in runs), sep=",")
+print(*(rows[run].outcome for run in runs), *(int(rows[run].began) for run in runs), sep=",")
 """
 
 
@@ -272,7 +269,7 @@ def test_the_key_of_the_results_covers_the_judge_the_cases_and_the_settings(tmp_
     (configs / "scenarios" / "line.yaml").write_text("b")
 
     def key(code: str = "abc") -> str:
-        return flights_key(code, bench=bench, configs=configs)
+        return flights_key(bench, code, configs)
 
     keys = {key(), key("abd")}
     (bench / "judge.py").write_text("c")

@@ -1,4 +1,4 @@
-"""The bench of interruptions: its moments, its judge, its file, and going on."""
+"""The bench of interruptions: its moments, its judge, and going on."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,7 +18,6 @@ from benchmarks.service.judging import (
     InterruptedTrial,
     Kind,
     SeenTraffic,
-    TrialsFile,
     moment,
     reached,
 )
@@ -189,24 +188,11 @@ def test_a_killed_flights_log_has_to_read_back_to_its_last_second(tmp_path: Path
     assert judging.log_missing(tmp_path, 90.0, 100.0) == ["log misses 10.0 s"]
 
 
-# ---------------------------------------------------------------- the file, and going on
+# ---------------------------------------------------------------- going on
 
 
-def trial(
-    kind: Kind = "kill", seed: int = 0, code: str = "abc", found: tuple[str, ...] = ()
-) -> InterruptedTrial:
+def trial(kind: Kind, seed: int, code: str, found: tuple[str, ...] = ()) -> InterruptedTrial:
     return InterruptedTrial(kind, seed, code, "descend", 12.3, 1.5, found)
-
-
-def test_a_trial_is_read_back_and_a_cut_line_is_none(tmp_path: Path) -> None:
-    file = TrialsFile(tmp_path / "out" / "trials.jsonl")
-    assert file.read("abc") == {}
-    file.append(trial(found=("armed",)))
-    path = tmp_path / "out" / "trials.jsonl"
-    path.write_bytes(path.read_bytes() + b'{"kind": "stop", "se')
-    file.append(trial("term", 3))
-    file.append(trial("stop", code="other"))
-    assert file.read("abc") == {("kill", 0): trial(found=("armed",)), ("term", 3): trial("term", 3)}
 
 
 def test_the_same_command_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

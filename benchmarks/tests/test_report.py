@@ -1,11 +1,13 @@
-"""What a benchmark's results hold, and what exit status they give."""
+"""What a benchmark's results hold, what exit status they give, and what is kept of a bench that goes on."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from rich.table import Table
 
 from benchmarks.report import BenchReport, commit
+from benchmarks.rows_file import RowsFile
 from sitl.campaign.tables import Bar
 
 
@@ -37,3 +39,26 @@ def test_the_exit_status_needs_bars_that_hold(bars: dict[str, bool] | None, stat
 def test_without_git_there_is_no_commit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.report.ROOT", Path("/"))
     assert commit() is None
+
+
+@dataclass(frozen=True)
+class Kept:
+    code: str
+    seed: int
+    said: str = ""
+    found: tuple[str, ...] = ()
+    after_s: float | None = None
+
+
+def test_what_is_written_is_read_again_and_a_torn_line_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "there" / "rows.jsonl"
+    file, rows = RowsFile(path, Kept), [Kept("abc", 0, found=("armed",)), Kept("abc", 1, 'crash; "µ",\ny')]
+    assert file.read("abc") == []
+    for one in rows:
+        file.append(one)
+    path.write_bytes(path.read_bytes()[:-40])
+    assert file.read("abc") == rows[:1]
+    file.append(rows[1])
+    file.append(Kept("another state of the code", 2, after_s=1.5))
+    assert file.read("abc") == rows
+    assert [row.after_s for row in file.read("another state of the code")] == [1.5]
