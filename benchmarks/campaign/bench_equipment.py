@@ -22,11 +22,11 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
-import yaml
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from benchmarks.campaign.bench_landing import fly, landed_share, unplanned_bar
+from benchmarks.campaign.landing_cases import write_scenario
 from benchmarks.firmware.bench_firmware import line, table
 from benchmarks.report import BenchReport, watched
 from companion.base.autopilot_kind import AutopilotKind
@@ -36,12 +36,11 @@ from companion.flightlog.record import FlightLog
 from companion.sim.runner import fly as fly_here
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.campaign.manifest import CampaignRun, code_digest, scenario_digest
+from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import Bar, print_worst
 from sitl.firmware.spec import FirmwareSpec
 from sitl.scenario.as_built import NOTHING_ELSE
-from sitl.scenario.scenario import Scenario, load_scenario
 
 SMOKE: Final = ("--seeds", "1", "--case", "fisheye-line", "--jobs", "1")
 OVER_PAD_M: Final = 1.5
@@ -123,7 +122,7 @@ def write_flights(
     specs: Sequence[FirmwareSpec] = (),
 ) -> list[CampaignRun]:
     """Each case on the bundled autopilots in turn, or on each firmware; `seeds` instead of the case's own."""
-    code, flights = code_digest(), list[CampaignRun]()
+    flights = list[CampaignRun]()
     for case in cases:
         numbers = range(case.seeds if seeds is None else seeds)
         flown_by: list[tuple[AutopilotKind, FirmwareSpec | None, range]]
@@ -131,23 +130,8 @@ def write_flights(
             (kind, None, numbers[turn :: len(KINDS)]) for turn, kind in enumerate(KINDS)
         ]
         for kind, spec, own in flown_by:
-            path = _write(case, kind, folder)
-            scenario = load_scenario(path)
-            identity = f"{code}-{scenario_digest(str(path), None)}"
-            flights += [
-                CampaignRun(
-                    scenario.name, str(path), seed, None, scenario.time_limit_s, identity, firmware=spec
-                )
-                for seed in own
-            ]
+            flights += write_scenario(case.content(kind), own, folder, spec)
     return flights
-
-
-def _write(case: EquipmentCase, kind: AutopilotKind, folder: Path) -> Path:
-    content = case.content(kind)
-    path = folder / f"{Scenario.model_validate(content).name}.yaml"
-    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    return path
 
 
 def landing_bars(name: str, rows: Sequence[Row]) -> list[Bar]:

@@ -11,6 +11,7 @@ As built, each of them is flown by a vehicle about which its builder is wrong (`
 mass among the rest; those of even numbers with the behaviour of PX4, those of odd ones with ArduPilot's.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +22,7 @@ import yaml
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import MissionConfig, find_file, merge, read_yaml
 from sitl.campaign.manifest import CampaignRun, code_digest, scenario_digest
+from sitl.firmware.spec import FirmwareSpec
 from sitl.scenario.scenario import Scenario
 
 FASTEST_LINE_M_S: Final = 4.2
@@ -94,15 +96,22 @@ def peer_cases(seeds: int) -> tuple[LandingCase, ...]:
 
 
 def write_flights(case: LandingCase, folder: Path) -> list[CampaignRun]:
-    """Write each flight's scenario into a folder, for the command that repeats it; returns the flights."""
-    flights, code = [], code_digest()
-    for content, seed in case.flights:
-        scenario = Scenario.model_validate(content)
-        path = folder / f"{scenario.name}.yaml"
-        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        identity = f"{code}-{scenario_digest(str(path), None)}"
-        flights.append(CampaignRun(scenario.name, str(path), seed, None, scenario.time_limit_s, identity))
-    return flights
+    """Write each flight's scenario into a folder; returns the flights."""
+    return [run for content, seed in case.flights for run in write_scenario(content, (seed,), folder)]
+
+
+def write_scenario(
+    content: dict[str, Any], seeds: Iterable[int], folder: Path, firmware: FirmwareSpec | None = None
+) -> list[CampaignRun]:
+    """Write a scenario into a folder, for the command that repeats it; returns its flights."""
+    scenario = Scenario.model_validate(content)
+    path = folder / f"{scenario.name}.yaml"
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    identity = f"{code_digest()}-{scenario_digest(str(path), None)}"
+    return [
+        CampaignRun(scenario.name, str(path), seed, None, scenario.time_limit_s, identity, firmware)
+        for seed in seeds
+    ]
 
 
 def _line(speed_m_s: float) -> dict[str, Any]:

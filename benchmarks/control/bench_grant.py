@@ -21,11 +21,12 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
+from benchmarks.faults.cases import changed
 from benchmarks.report import BenchReport
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
-from companion.config import CONFIG_FOLDER, merge
+from companion.config import CONFIG_FOLDER
 from companion.flightlog.record import FlightLog
 from companion.link.codec import mavlink
 from companion.link.transport import memory_pair
@@ -108,11 +109,8 @@ class GrantWitness:
 
 def scenario_of(share: float) -> Scenario:
     """A vehicle that needs so many times the hover thrust that was told."""
-    content = load_scenario("line").model_dump(by_alias=True, exclude_unset=True)
     built = {**NOTHING_ELSE, "exactly": {"hover_thrust": 1.0 / share}}
-    return Scenario.model_validate(
-        merge(content, {"autopilot": "ardupilot", "as_built": built, "wind": WIND})
-    )
+    return changed(load_scenario("line"), {"autopilot": "ardupilot", "as_built": built, "wind": WIND})
 
 
 def fly(firmware: FirmwareSpec | None, flight: tuple[float, int]) -> Grant:

@@ -21,12 +21,13 @@ from unittest import mock
 import numpy as np
 from rich.table import Table
 
+from benchmarks.faults.cases import changed
 from benchmarks.report import BenchReport, resident_mb
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
 from companion.base.messages import Frame
-from companion.config import CONFIG_FOLDER, merge
+from companion.config import CONFIG_FOLDER
 from companion.control.controller import Controller
 from companion.flightlog.record import FlightLog
 from companion.link.transport import memory_pair
@@ -37,7 +38,7 @@ from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.campaign.tables import Bar, at_most
 from sitl.run.in_process import InProcess
-from sitl.scenario.scenario import Scenario, load_scenario
+from sitl.scenario.scenario import load_scenario
 
 SMOKE: Final = ("--minutes", "2")
 SEES_S: Final = 9.0
@@ -110,10 +111,8 @@ def timed(steps_s: list[float]) -> Iterator[None]:
 
 async def fly(minutes: int, steps_s: list[float], *, logs: bool = True) -> tuple[list[Minute], str]:
     """Fly for so long; returns the minutes, and how the flight ended if it ended before."""
-    scenario = load_scenario("circle")
-    content = scenario.model_dump(by_alias=True, exclude_unset=True)
-    changed = {"companion": merge(scenario.companion, _SETTINGS), "faults": _FULL_BATTERY}
-    trial = Trial(Path("circle.yaml"), Scenario.model_validate(merge(content, changed)), 0)
+    scenario = changed(load_scenario("circle"), {"companion": _SETTINGS, "faults": _FULL_BATTERY})
+    trial = Trial(Path("circle.yaml"), scenario, 0)
     config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     app_end, vehicle_end = memory_pair()
     vehicle = InProcess(

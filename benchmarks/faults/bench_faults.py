@@ -22,7 +22,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from benchmarks.faults.cases import CASES, PHASES, FaultRow, FaultRun, all_runs, one_each
-from benchmarks.faults.fault_flight import flown_alone, fly_run, fly_together
+from benchmarks.faults.fault_flight import fly_run, fly_together
 from benchmarks.faults.forks import Forks
 from benchmarks.faults.judge import OUTCOMES, SafetyVerdict
 from benchmarks.faults.witness import WitnessedFlight
@@ -96,9 +96,10 @@ def fly_all(runs: Sequence[FaultRun], code: str, jobs: int, take: Take) -> None:
     try:
         for kind in dict.fromkeys(run[2:] for run in runs):
             group = [run for run in runs if run[2:] == kind]
-            if together := [run for run in group if not flown_alone(run)]:
+            alone = [run for run in group if CASES[run.fault].flown_alone]
+            if together := [run for run in group if run not in alone]:
                 fly_group(together, code, forks, take)
-            for run in filter(flown_alone, group):
+            for run in alone:
                 if forks.begin(run):
                     forks.deliver(fly_alone(run, code))
         forks.wait()

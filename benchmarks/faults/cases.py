@@ -51,8 +51,12 @@ class FaultRowCase:
     @property
     def flown_alone(self) -> bool:
         """Whether its flight has nothing in common with those of other rows."""
-        on_disk = any(fault["kind"].startswith("disk") for fault in self.faults)
-        return on_disk or bool(self.changes or self.parameters or self.stands_by) or self.signed
+        return self.on_disk or bool(self.changes or self.parameters or self.stands_by) or self.signed
+
+    @property
+    def on_disk(self) -> bool:
+        """Whether its flight is logged on disk; that log has a thread, which no fork takes along."""
+        return any(fault["kind"].startswith("disk") for fault in self.faults)
 
 
 def _case(phases: tuple[PhaseName, ...], *faults: dict[str, Any], lands: bool = False) -> FaultRowCase:

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from benchmarks.faults.branches import ForkedSchedule
 from benchmarks.faults.cases import CASES, FaultRun, StandingBy, changed, faultless, faults_of, scenario_of
@@ -43,6 +43,7 @@ from sitl.run.process_control import interrupted_at_once
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario
 
+Told = TypeVar("Told", bound=VehicleState | ControlReport)
 HELD_S: Final = 4.0
 AFTERMATH_S: Final = 60.0
 DRIFTS_S: Final = 240.0  # so long it is left to what ends a flight without setpoints
@@ -68,9 +69,10 @@ def _as_is(_simulation: Simulation) -> None:
 def fly_run(run: FaultRun) -> tuple[SafetyVerdict, WitnessedFlight]:
     """Fly one from its start and judge it."""
     prepare_opencv()
-    with _key(CASES[run.fault].signed) as changes:
-        scenario, story = changed(scenario_of(run), changes), CASES[run.fault].stands_by
-        record, config = fly(scenario, run.seed, on_disk=on_disk(run), story=story)
+    case = CASES[run.fault]
+    with _key(case.signed) as changes:
+        scenario = changed(scenario_of(run), changes)
+        record, config = fly(scenario, run.seed, on_disk=case.on_disk, story=case.stands_by)
     return judged(run, record, config), record
 
 
@@ -93,16 +95,6 @@ def fly_together(
     record, config = fly(faultless(runs[0].scenario, shared), runs[0].seed, prepare=branch)
     for run in branches[0].left if forks.mine is None else [forks.mine]:
         yield run, judged(run, record, config), record
-
-
-def on_disk(run: FaultRun) -> bool:
-    """Whether its flight is logged on disk; that log has a thread, which no fork takes along."""
-    return any(fault["kind"].startswith("disk") for fault in CASES[run.fault].faults)
-
-
-def flown_alone(run: FaultRun) -> bool:
-    """Whether it has nothing in common with flights of other faults."""
-    return CASES[run.fault].flown_alone
 
 
 def judged(run: FaultRun, record: WitnessedFlight, config: CompanionConfig) -> SafetyVerdict:
@@ -224,11 +216,7 @@ async def _fly(
 
 def with_belief(samples: Sequence[TruthSample], believed: Sequence[VehicleState]) -> Iterator[TruthSample]:
     """The samples with how much too low the app believes itself by its newest estimate."""
-    following = iter((*believed, None))
-    state, after = None, next(following)
-    for sample in samples:
-        while after is not None and after.time_s <= sample.time_s:
-            state, after = after, next(following)
+    for sample, state in zip(samples, _newest(samples, believed), strict=True):
         low_m = 0.0 if state is None else state.position_ned_m[2] - sample.position_ned_m[2]
         yield sample._replace(believed_low_m=low_m)
 
@@ -237,13 +225,19 @@ def with_pressure(
     setpoints: Sequence[SentSetpoint], reports: Sequence[ControlReport]
 ) -> Iterator[SentSetpoint]:
     """The setpoints with what the app felt press on the vehicle by the report of their control cycle."""
-    following = iter((*reports, None))
-    report, after = None, next(following)
-    for sent in setpoints:
-        while after is not None and after.time_s <= sent.time_s:
-            report, after = after, next(following)
+    for sent, report in zip(setpoints, _newest(setpoints, reports), strict=True):
         pressed_m_s2 = 0.0 if report is None else max(0.0, report.disturbance_ned_m_s2[2])
         yield sent._replace(pressed_m_s2=pressed_m_s2)
+
+
+def _newest(at: Sequence[TruthSample | SentSetpoint], told: Sequence[Told]) -> Iterator[Told | None]:
+    """What was told last at the time of each; both are in their order."""
+    following = iter((*told, None))
+    last, after = None, next(following)
+    for each in at:
+        while after is not None and after.time_s <= each.time_s:
+            last, after = after, next(following)
+        yield last
 
 
 async def _play(story: StandingBy, app: App, vehicle: InProcess, record: WitnessedFlight) -> None:

@@ -20,19 +20,18 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
-import yaml
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from benchmarks.campaign.bench_landing import fly, landed_share, unplanned_bar
+from benchmarks.campaign.landing_cases import BOUNDS, MEET, PLACE_NED_M, write_scenario
 from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError, Kind
-from sitl.campaign.manifest import CampaignRun, code_digest, scenario_digest
+from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import Bar, at_most, print_worst, values
 from sitl.firmware.spec import FirmwareSpec
-from sitl.scenario.scenario import Scenario
 
 SMOKE: Final = ("--seeds", "1", "--jobs", "1")
 NEEDS: Final = "PX4 or ARDUCOPTER"
@@ -149,8 +148,6 @@ def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, report: Be
 # begins with its own default, so that neither bench gives it the truth.
 
 Sensors = Literal["boards", "autopilot"]
-MEET: Final = {"point_ned_m": [10.0, 0.0], "time_s": 22.0, "spread_m": 2.0}
-PASS: Final = {"lateral_error_m": 0.15, "vertical_speed_m_s": 0.5, "horizontal_speed_m_s": 0.3}
 WIND: Final = {"mean_m_s": 8.0, "turbulence": "moderate"}
 CALM: Final[dict[str, Any]] = {"mean_m_s": 0.0}
 # what each is sent by default first; velocities to ArduPilot are no part of what has to land
@@ -180,11 +177,11 @@ class FirmwareCase:
             "autopilot": kind,
             "pad": self.pad,
             "wind": WIND if self.windy else CALM,
-            "pass": PASS,
+            "pass": BOUNDS,
             "companion": {
                 "sense": {"source": sensors, "autopilot": {"range_source": "boards"}},
                 "control": {"setpoint": setpoint},
-                "plan": {"mission": {"waypoint_ned_m": [10.0, 0.0]}},
+                "plan": {"mission": {"waypoint_ned_m": PLACE_NED_M}},
             },
         }
 
@@ -234,17 +231,9 @@ def write_flights(
     as_built: bool = False,
 ) -> Iterator[CampaignRun]:
     """The flights of one firmware by one kind of setpoint; their scenarios are left in a folder."""
-    code = code_digest()
     if not as_built:
         told = (OWN_HOVER_THRUST[firmware.kind], *firmware.parameters)
         firmware = replace(firmware, parameters=told)
     for case in cases:
         content = case.scenario(firmware.kind, setpoint, sensors, as_built=as_built)
-        scenario = Scenario.model_validate(content)
-        path = folder / f"{scenario.name}.yaml"
-        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        identity = f"{code}-{scenario_digest(str(path), None)}"
-        for seed in seeds:
-            yield CampaignRun(
-                scenario.name, str(path), seed, None, scenario.time_limit_s, identity, firmware=firmware
-            )
+        yield from write_scenario(content, seeds, folder, firmware)

@@ -14,12 +14,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.faults.cases import changed
 from benchmarks.state.consistency import recovery_s
 from benchmarks.state.samples import Samples
 from companion.base.geometry import FloatArray
-from companion.config import merge, validate
 from companion.sim.trial import Trial
-from sitl.scenario.scenario import Scenario
 
 BASE: Final = "figure_8"
 LARGEST_ATTITUDE_DEG: Final = 5.0
@@ -164,10 +163,8 @@ class FaultFlight:
 def trial_of(case: FlightFault, seed: int) -> Trial:
     """The base scenario with the case's changes and fault."""
     base = Trial.load(BASE, seed)
-    plain = base.scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)
     faults = {} if case.fault is None else {"faults": [case.fault]}
-    scenario = validate(Scenario, merge(plain, merge(case.changes, faults)), str(base.path))
-    return Trial(base.path, scenario, seed)
+    return Trial(base.path, changed(base.scenario, {**case.changes, **faults}), seed)
 
 
 def usual_for(flight: FaultFlight, flights: Sequence[FaultFlight]) -> FaultFlight:

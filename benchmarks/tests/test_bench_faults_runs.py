@@ -22,7 +22,6 @@ from benchmarks.faults.cases import (
     scenario_of,
 )
 from benchmarks.faults.computer import FaultyTracker
-from benchmarks.faults.fault_flight import flown_alone, on_disk
 from benchmarks.faults.forks import Forks
 from benchmarks.faults.judge import SafetyVerdict
 from benchmarks.faults.witness import TruthSample, WitnessedFlight
@@ -219,7 +218,7 @@ def test_ardupilot_flies_every_pair_too_and_what_is_wrong_from_the_start_is_flow
         assert scenario.autopilot == run.autopilot
         case = CASES[run.fault]
         of_its_own = case.changes or case.parameters or case.signed or case.stands_by
-        assert flown_alone(run) == bool(on_disk(run) or of_its_own)
+        assert case.flown_alone == bool(case.on_disk or of_its_own)
         assert scenario.faults or of_its_own
 
 

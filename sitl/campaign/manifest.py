@@ -8,6 +8,7 @@ import hashlib
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final, Literal
 
@@ -182,6 +183,7 @@ def scenario_digest(source: str, config: str | None) -> str:
     return _digest([*texts, *(path.read_bytes() for path in files)])
 
 
+@cache
 def code_digest() -> str:
     """Digest of the program's own sources: another version of them may fly otherwise."""
     paths = sorted(path for package in PACKAGES for path in (_SOURCES / package).rglob("*.py"))

@@ -13,15 +13,13 @@ from typing import Any, Final
 import pytest
 
 from benchmarks.faults import fault_flight
-from benchmarks.faults.cases import FaultRun, faultless, scenario_of
+from benchmarks.faults.cases import FaultRun, changed, faultless, scenario_of
 from benchmarks.faults.witness import WitnessedFlight
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES, custom_mode
 from companion.base.clock import Clock
-from companion.config import merge
 from companion.link.codec import AUTOPILOT_COMPONENT, CURRENT_MODE, Codec, mavlink
 from companion.link.transport import MemoryTransport, memory_pair
-from sitl.scenario.scenario import Scenario
 from tests.scenario.flights.forked import fly_forked
 from tests.scenario.flying import FEW_PICTURES
 
@@ -121,16 +119,10 @@ def test_a_pilots_mode_ends_our_setpoints_at_once_and_for_good(
     assert_prompt(taken_over[run], "px4")
 
 
-def changed(scenario: Scenario, **changes: Any) -> Scenario:
-    """A scenario with few pictures and further changes."""
-    content = scenario.model_dump(by_alias=True, exclude_unset=True)
-    return Scenario.model_validate(merge(content, {**FEW_PICTURES, **changes}))
-
-
 def test_so_does_an_ardupilots() -> None:
     takeover = scenario_of(FaultRun("pilot: Position", "descend", "line", 0))
     with listening(quick=False) as heard:
-        record, _ = fault_flight.fly(changed(takeover, autopilot="ardupilot"), 0)
+        record, _ = fault_flight.fly(changed(takeover, {**FEW_PICTURES, "autopilot": "ardupilot"}), 0)
     assert_prompt(heard(record), "ardupilot")
 
 
@@ -150,7 +142,7 @@ def assert_prompt(heard: RecordedFlight, autopilot: AutopilotKind) -> None:
 def test_a_link_that_cannot_be_read_any_more_ends_the_flight_in_the_autopilots_hold() -> None:
     scenario = scenario_of(FaultRun("frames lost 0.2 s", "search", "line", 0))
     with listening(deaf_s=24.0) as put_together:
-        record, _ = fault_flight.fly(changed(scenario), 0)
+        record, _ = fault_flight.fly(changed(scenario, FEW_PICTURES), 0)
     heard = put_together(record)
     assert heard.failures > 3, "the link's task is started again and again"
     words = [said.text for said in record.texts]
@@ -175,7 +167,7 @@ def waking_at(woken_s: float) -> Iterator[None]:
 def test_a_machine_that_was_suspended_in_the_descent_flies_by_nothing_that_it_knew() -> None:
     # ArduPilot stays in GUIDED meanwhile, so that its mode says nothing
     woken_s = 27.0
-    scenario = changed(faultless("line"), autopilot="ardupilot")
+    scenario = faultless("line", {**FEW_PICTURES, "autopilot": "ardupilot"})
     with listening() as put_together, waking_at(woken_s):
         record, _ = fault_flight.fly(scenario, 0)
     heard = put_together(record)
