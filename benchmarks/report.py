@@ -42,6 +42,14 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 WIDTH: Final = 150  # where nobody sets one: a file, a pipe
 
 
+def figures_table(title: str, *headings: str) -> Table:
+    """A table of figures, which stand to the right."""
+    table = Table(title=title)
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    return table
+
+
 class BenchReport(Console):
     """A console that keeps what it shows; strings are printed as they are."""
 

@@ -17,9 +17,9 @@ from typing import Final
 import cv2
 import numpy as np
 from rich.table import Table
-from scipy.stats import chi2
 
-from benchmarks.report import BenchReport, watched
+from benchmarks.report import BenchReport, figures_table, watched
+from benchmarks.state.consistency import band
 from calibration.camera.board import CalibrationBoard, read_dictionary
 from calibration.camera.quality import Assessment, assess
 from calibration.camera.solver import UnsolvableError
@@ -33,7 +33,6 @@ SMOKE: Final = ("--seeds", "1")
 VIEWS: Final = 25
 FOCAL_SHARE: Final = 0.001
 CENTRE_PX: Final = 1.0
-CONFIDENCE: Final = 0.95
 # a peer's reprojection error on 42 photos of a board
 PEER_RMS_PX: Final = 0.462
 BOWS_M: Final = (0.0, 0.0005)
@@ -71,22 +70,15 @@ def calibrated(camera: CameraConfig, board: CalibrationBoard, bow_m: float, seed
     return CalibrationRun(errors, found.uncertainty.std, nees, found)
 
 
-def nees_band(runs: int, numbers: int) -> tuple[float, float]:
-    """Where the mean NEES of so many runs lies in 95 of 100 cases, if what is stated is true."""
-    low, high = chi2.interval(CONFIDENCE, runs * numbers)
-    return float(low) / runs, float(high) / runs
-
-
 def table(rows: dict[float, list[CalibrationRun]], camera: CameraConfig) -> Table:
     """Errors beside the bars."""
-    grid = Table(title=f"Camera calibration, {VIEWS} rendered views of 1280x720: errors (worst of the runs)")
-    band = nees_band(len(next(iter(rows.values()))), 9)
-    for heading in (
+    low, high = band(9, len(next(iter(rows.values()))))
+    grid = figures_table(
+        f"Camera calibration, {VIEWS} rendered views of 1280x720: errors (worst of the runs)",
         *("bow mm", "runs", f"fx % (<= {100 * FOCAL_SHARE:g})", "fy %", f"cx px (<= {CENTRE_PX:g})", "cy px"),
-        *("fx: rms / stated", "cx: rms / stated", f"NEES ({band[0]:.1f}..{band[1]:.1f})"),
+        *("fx: rms / stated", "cx: rms / stated", f"NEES ({low:.1f}..{high:.1f})"),
         *("reprojection px", "held out px", "bow found mm", "refused"),
-    ):
-        grid.add_column(heading, justify="right")
+    )
     for bow_m, runs in rows.items():
         errors, std = np.array([r.errors for r in runs]), np.array([r.std for r in runs])
         worst = np.abs(errors).max(axis=0)
@@ -167,13 +159,13 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
         for bow_m in watched(BOWS_M, "boards")
     }
     report.show(table(rows, camera))
-    band = nees_band(chosen.seeds, 9)
+    low, high = band(9, chosen.seeds)
     worst = np.abs([run.errors for runs in rows.values() for run in runs]).max(axis=0)
     nees = [float(np.mean([run.nees for run in runs])) for runs in rows.values()]
     bars = {
         "focal length": bool((worst[:2] <= FOCAL_SHARE * np.array((camera.fx_px, camera.fy_px))).all()),
         "principal point": bool((worst[2:4] <= CENTRE_PX).all()),
-        "NEES": all(band[0] <= value <= band[1] for value in nees),
+        "NEES": all(low <= value <= high for value in nees),
         "none refused": not any(run.found.reasons for runs in rows.values() for run in runs),
     }
     folder = None if chosen.data is None else chosen.data / "aruco"

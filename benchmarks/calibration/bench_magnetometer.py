@@ -23,7 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, figures_table
 from benchmarks.state.streams import fly_stream, rerun, rms, settings_of
 from calibration.magnetometer.calibrate import Calibrated, TrueField, calibrate
 from calibration.magnetometer.collect import collect
@@ -70,10 +70,11 @@ def scores(seed: int, samples: int, *, half: bool) -> tuple[float, float, float]
 
 def made_up(seeds: int, report: BenchReport) -> dict[str, bool]:
     """The table over made-up truth, and its bars."""
-    grid = Table(title=f"30 % soft iron, 2 % noise, {seeds} seeds")
-    for heading in ("sphere", "samples", "hard iron rms %", f"95 % (<= {100 * OFFSET:g})", "stated %"):
-        grid.add_column(heading, justify="right")
-    grid.add_column(f"NEES / 9 ({NEES_BAND[0]:g}..{NEES_BAND[1]:g})", justify="right")
+    grid = figures_table(
+        f"30 % soft iron, 2 % noise, {seeds} seeds",
+        *("sphere", "samples", "hard iron rms %", f"95 % (<= {100 * OFFSET:g})", "stated %"),
+        f"NEES / 9 ({NEES_BAND[0]:g}..{NEES_BAND[1]:g})",
+    )
     held = {}
     for half, samples in [(True, samples) for samples in SAMPLES] + [(False, 1500)]:
         rows = np.array([scores(seed, samples, half=half) for seed in range(seeds)])
@@ -141,10 +142,11 @@ def attitude_deg(trial: Trial) -> tuple[float, str]:
 
 def flown(seeds: int, report: BenchReport) -> dict[str, bool]:
     """Flights by the calibration, beside those of the simulator's default residuals."""
-    grid = Table(title=f"Carried about by hand, then flown: {SCENARIO}")
-    for heading in ("seed", f"hard iron % (<= {100 * LIVE_OFFSET:g})", f"attitude ° (<= {ATTITUDE_DEG:g})"):
-        grid.add_column(heading, justify="right")
-    grid.add_column("with default residuals °", justify="right")
+    grid = figures_table(
+        f"Carried about by hand, then flown: {SCENARIO}",
+        *("seed", f"hard iron % (<= {100 * LIVE_OFFSET:g})", f"attitude ° (<= {ATTITUDE_DEG:g})"),
+        "with default residuals °",
+    )
     errors, attitudes, outcomes = [], [], []
     for seed in range(seeds):
         trial = Trial.load(SCENARIO, seed)

@@ -27,7 +27,7 @@ import numpy as np
 import yaml
 from rich.table import Table
 
-from benchmarks.report import BenchReport, watched
+from benchmarks.report import BenchReport, figures_table, watched
 from benchmarks.state.consistency import band
 from calibration.mount.imu_calibration import calibrate_accelerometer, faces_from
 from calibration.mount.model import log
@@ -140,22 +140,12 @@ def solved(folder: Path) -> tuple[MountSolution, tuple[str, ...], MountCalibrati
 
 def table(rows: Sequence[MountRow]) -> Table:
     """The recordings."""
-    grid = Table(
-        title=f"60 s of sway at most: mount off by up to 4°, stamps by up to 30 ms, lens by {LENS_ERROR:g}"
-    )
-    headings = (
-        *(
-            "seed",
-            f"rotation ° (<= {ROTATION_DEG:g})",
-            "against the airframe °",
-            "stated °",
-            "off level °",
-            "without faces °",
-        ),
+    grid = figures_table(
+        f"60 s of sway at most: mount off by up to 4°, stamps by up to 30 ms, lens by {LENS_ERROR:g}",
+        *("seed", f"rotation ° (<= {ROTATION_DEG:g})", "against the airframe °", "stated °"),
+        *("off level °", "without faces °"),
         *(f"offset ms (<= {1e3 * OFFSET_S:g})", "stated ms", "place mm", "sightings", "NEES", "verdict"),
     )
-    for heading in headings:
-        grid.add_column(heading, justify="right")
     for row in rows:
         stated = np.degrees(np.sqrt(np.trace(row.solution.rotation_covariance)))
         grid.add_row(
@@ -238,11 +228,8 @@ def worst_line(rows: Sequence[MountRow]) -> str:
 
 def flight_table(rows: list[tuple[str, list[dict[str, Any]]]]) -> Table:
     """The landings."""
-    grid = Table(
-        title=f"landings on 'line', camera turned by {FLIGHT_MOUNT_DEG} deg, stamps {FLIGHT_STAMP_S} s late"
-    )
-    for heading in ("camera", "landed", "off the centre, cm", "worst, cm", "touchdown m/s"):
-        grid.add_column(heading, justify="right")
+    title = f"landings on 'line', camera turned by {FLIGHT_MOUNT_DEG} deg, stamps {FLIGHT_STAMP_S} s late"
+    grid = figures_table(title, "camera", "landed", "off the centre, cm", "worst, cm", "touchdown m/s")
     for name, results in rows:
         touched = [r["touchdown"] for r in results if r.get("touchdown")]
         away = [100.0 * t["lateral_error_m"] for t in touched] or [float("nan")]

@@ -19,7 +19,7 @@ import numpy as np
 import osqp
 from rich.table import Table
 
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, figures_table
 from companion.base.geometry import ZERO3, FloatArray, Vector3, add, vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig
@@ -127,16 +127,11 @@ def _anew(problem: QuadraticProgram, inputs: FloatArray, found: MpcFigures, conf
 
 def table(all_found: dict[str, MpcFigures]) -> Table:
     """All of it."""
-    grid = Table(title="A step of the flight MPC, 20 steps of 0.1 s")
-    for heading in ("reference", "p50 ms", f"p99 ms (<= {STEP_P99_MS:g})", "worst ms"):
-        grid.add_column(heading, justify="right")
-    for heading in (
-        "iterations p50, p99",
-        "unsolved",
-        "set up anew p50 ms",
-        f"times (>= {FASTER_THAN_SETUP:g})",
-    ):
-        grid.add_column(heading, justify="right")
+    grid = figures_table(
+        "A step of the flight MPC, 20 steps of 0.1 s",
+        *("reference", "p50 ms", f"p99 ms (<= {STEP_P99_MS:g})", "worst ms"),
+        *("iterations p50, p99", "unsolved", "set up anew p50 ms", f"times (>= {FASTER_THAN_SETUP:g})"),
+    )
     for name, found in all_found.items():
         step, counts = np.percentile(found.step_ms, (50, 99, 100)), np.percentile(found.iterations, (50, 99))
         anew = float(np.median(found.anew_ms))

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from rich.table import Table
 
-from benchmarks.report import BenchReport, watched
+from benchmarks.report import BenchReport, figures_table, watched
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
 from companion.base.motion import Motion
@@ -124,9 +124,8 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     hopeless = [
         fly(shapes, within(shapes)) for shapes in watched(scenes[: options.scenes // 2], "goals inside")
     ]
-    table = Table(title="the reference among obstacles")
-    for heading in ("goal", "scenes", "reached", "holding", "nearest, m", "slowest cycle, ms (median)"):
-        table.add_column(heading, justify="right")
+    headings = ("goal", "scenes", "reached", "holding", "nearest, m", "slowest cycle, ms (median)")
+    table = figures_table("the reference among obstacles", *headings)
     add_row("behind", free, table)
     add_row("inside one", hopeless, table)
     report.show(table)

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from rich.table import Table
 
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, figures_table
 from companion.base.clock import wall_clock_s
 from tests.unit.estimate.pad.pad_scores import (
     BLIND_S,
@@ -108,15 +108,13 @@ def step_us(track: SimulatedPadTrack) -> float:
 
 def table(rows: Sequence[PadFilterRow]) -> Table:
     """All of it."""
-    grid = Table(title="Pad filter on made-up tracks: root mean square errors")
-    for heading in (
-        *("motion", "filter", "position cm", "height cm"),
-        f"velocity m/s (<= {VELOCITY_M_S:g})",
+    grid = figures_table(
+        "Pad filter on made-up tracks: root mean square errors",
+        *("motion", "filter", "position cm", "height cm", f"velocity m/s (<= {VELOCITY_M_S:g})"),
         *("climb m/s", "acceleration m/s²", "upwards m/s²", "lag ms"),
         f"NEES ({NEES_BAND[0]:g}..{NEES_BAND[1]:g})",
         *(f"blind {s:g} s m (NEES <= {NEES_BAND[1]:g})" for s in BLIND_S),
-    ):
-        grid.add_column(heading, justify="right")
+    )
     for row in rows:
         grid.add_row(*row.cells(), end_section=row.filter == "now")
     return grid

@@ -59,7 +59,7 @@ def _a_flight_that_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_corners_are_where_the_detector_finds_them_in_the_middle_of_their_rows() -> None:
-    stage = PadBeforeCamera("1280x720", 0.0, np.random.default_rng(3))
+    stage = PadBeforeCamera(camera_named("1280x720"), pad_of(0.0), np.random.default_rng(3))
     misses = []
     for _ in range(4):
         shot = stage.shoot(2.0)
@@ -74,7 +74,7 @@ def test_corners_are_where_the_detector_finds_them_in_the_middle_of_their_rows()
 
 
 def test_a_row_is_looked_at_when_it_is_exposed() -> None:
-    stage = PadBeforeCamera("640x480", 0.0, np.random.default_rng(4))
+    stage = PadBeforeCamera(camera_named("640x480"), pad_of(0.0), np.random.default_rng(4))
     scene = stage.scene(3.0)
     points = np.array([(0.4, 0.0, 0.0), (-0.4, 0.3, 0.0)])
     pixels, times = stage.pixels(scene, points)
@@ -101,7 +101,7 @@ def test_vibration_is_the_integral_of_what_the_simulated_gyroscope_feels() -> No
 
 
 def test_a_shot_tells_the_app_no_more_than_it_would_know() -> None:
-    stage = PadBeforeCamera("640x480", 18.0, np.random.default_rng(5))
+    stage = PadBeforeCamera(camera_named("640x480"), pad_of(18.0), np.random.default_rng(5))
     tilts, misses = [], []
     for _ in range(300):
         scene = stage.scene(1.0)
@@ -116,7 +116,7 @@ def test_a_shot_tells_the_app_no_more_than_it_would_know() -> None:
 
 
 def test_a_tilted_shot_tilts_as_far_as_asked_and_looks_at_the_pad() -> None:
-    stage = PadBeforeCamera("640x480", 0.0, np.random.default_rng(6))
+    stage = PadBeforeCamera(camera_named("640x480"), pad_of(0.0), np.random.default_rng(6))
     for tilt in (0.0, 0.05, 0.17):
         scene = stage.scene(3.0, tilt)
         down = quat_rotate(scene.pose(0.0).vehicle_attitude, (0.0, 0.0, 1.0))
@@ -137,7 +137,7 @@ def sighting(shot: BenchShot, stage: PadBeforeCamera, turned: tuple[float, float
 
 
 def test_a_flip_is_a_tilt_to_the_other_side_or_far_off() -> None:
-    stage = PadBeforeCamera("640x480", 18.0, np.random.default_rng(7))
+    stage = PadBeforeCamera(camera_named("640x480"), pad_of(18.0), np.random.default_rng(7))
     # it rolls by 4 degrees: mirrored it is off by 8
     moment = HoverMoment(shots.flight(0), 3.2, 0.0, 0.5)
     north, east, down = quat_rotate(moment.at(0.0)[1], (0.0, 0.0, -1.0))

@@ -25,7 +25,14 @@ from numpy.typing import NDArray
 
 from benchmarks.state.consistency import nees
 from benchmarks.vision.judge import JudgedShot, bound_m2, eyes, judge, noise_px
-from benchmarks.vision.shots import ATTITUDE_STD_RAD, CAMERAS, BenchShot, PadBeforeCamera, pad_of
+from benchmarks.vision.shots import (
+    ATTITUDE_STD_RAD,
+    CAMERAS,
+    BenchShot,
+    PadBeforeCamera,
+    camera_named,
+    pad_of,
+)
 from companion.base.geometry import FloatArray
 from companion.base.messages import PadPrior
 from companion.config import VisionConfig
@@ -56,6 +63,10 @@ class VisionCase:
         """The dice of one chunk of its shots."""
         name = f"{self.size} {self.side_cm:g} {self.height_m:g} {self.tilted}"
         return np.random.default_rng((SEED, zlib.crc32(name.encode()), chunk))
+
+    def stage(self, rng: np.random.Generator, finer: int = 1) -> PadBeforeCamera:
+        """Its pad before its camera."""
+        return PadBeforeCamera(camera_named(self.size), pad_of(self.side_cm), rng, finer=finer)
 
 
 @dataclass
@@ -135,7 +146,7 @@ def _seen(shots: Iterable[JudgedShot]) -> list[JudgedShot]:
 def run_chunk(case: VisionCase, chunk: int, shots: int) -> CaseOutcome:
     """Render and judge some shots of a case."""
     rng = case.rng(chunk)
-    stage, outcome = PadBeforeCamera(case.size, case.side_cm, rng, finer=FINER), CaseOutcome(case)
+    stage, outcome = case.stage(rng, finer=FINER), CaseOutcome(case)
     shipped = VisionConfig()
 
     def calibrated() -> Vision:
@@ -325,8 +336,9 @@ def clutter_shots(chunk: int, shots: int) -> list[tuple[PadBeforeCamera, BenchSh
     """One board from several heights: the stage, each shot, and what the app expects."""
     rng = np.random.default_rng((SEED, 1_000_003, chunk))
     size = list(CAMERAS)[chunk % len(CAMERAS)]
-    board, _ = clutter_board(rng, pad_of(0.0))
-    stage = PadBeforeCamera(size, 0.0, rng, board)
+    pad = pad_of(0.0)
+    board, _ = clutter_board(rng, pad)
+    stage = PadBeforeCamera(camera_named(size), pad, rng, board)
     made = []
     for k in range(shots):
         shot = stage.shoot(_drawn(rng, HEIGHTS_M))

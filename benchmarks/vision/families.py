@@ -23,11 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from benchmarks.report import figures_table
 from benchmarks.vision.cases import SEED
 from benchmarks.vision.judge import eyes
 from benchmarks.vision.photos import Peer
-from benchmarks.vision.shots import PadBeforeCamera
-from benchmarks.vision.speed import FINDING, FRAMES_OF_A_HOVER, Follower
+from benchmarks.vision.shots import PadBeforeCamera, camera_named
+from benchmarks.vision.speed import FINDING, Follower, frames_of, hover_scene
 from companion.base.geometry import FloatArray, norm, subtract, vector3
 from companion.config import CameraConfig, VisionConfig
 from companion.pad import Marker, Pad
@@ -139,7 +140,7 @@ def run_family(family: str, hovers: int) -> FamilyRun:
     for height_m in HEIGHTS_M:
         for hover in range(hovers):
             rng = np.random.default_rng((SEED, zlib.crc32(f"{family} {height_m:g} {hover}".encode())))
-            stage = PadBeforeCamera(SIZE, 0.0, rng, pad=family_pad(family))
+            stage = PadBeforeCamera(camera_named(SIZE), family_pad(family), rng)
             number = _run_hover(run, stage, height_m, rng, number)
     return run
 
@@ -150,12 +151,10 @@ def _run_hover(
     """A hover's frames, counted on from a number; returns the next."""
     vision, follower, poses = eyes(stage, VisionConfig()), Follower(rng), Peer(stage.pad, stage.camera)
     peers = list(readers(stage.pad, stage.camera))
-    period_s = 1.0 / stage.camera.rate_hz
-    scene = stage.scene(height_m, follows_s=FRAMES_OF_A_HOVER * period_s)
-    for k in range(FRAMES_OF_A_HOVER):
-        time_s, number = k * period_s, number + 1
-        frame, attitude = stage.frame(scene, time_s), scene.pose(time_s).vehicle_attitude
-        prior = follower.expects(time_s, attitude)
+    scene = hover_scene(stage, height_m)
+    for k, (frame, attitude) in enumerate(frames_of(stage, scene)):
+        number += 1
+        prior = follower.expects(frame.time_s, attitude)
         began_s = time.thread_time()
         sighting = vision.step(frame, prior).sighting
         took_s = time.thread_time() - began_s
@@ -175,20 +174,18 @@ def _run_hover(
             pose = poses.pose(points, pixels)
             if pose is not None:
                 row = (float(pixels[:, 1].mean()) + 0.5) / stage.camera.height_px - 0.5
-                _, true_camera_m = stage.pose_in_camera(scene, time_s + row * stage.camera.readout_s)
+                _, true_camera_m = stage.pose_in_camera(scene, frame.time_s + row * stage.camera.readout_s)
                 peer.errors_m[number] = norm(vector3(pose[1] - true_camera_m))
     return number
 
 
 def family_table(runs: Sequence[FamilyRun]) -> tuple[Table, dict[str, bool]]:
     """A row a family and peer, and whether each bar holds for all of them."""
-    grid = Table(title=f"One marker of {100 * SIDE_M:g} cm, tracked at {SIZE} from {HEIGHTS_M} m")
-    headings = (
-        "family", "peer", "our recall %", "its", "our error mm", f"of its (≤{MOST_ERROR_SHARE:g})",
-        "our ms", f"times less (≥{LEAST_TIMES_LESS:g})",
-    )  # fmt: skip
-    for heading in headings:
-        grid.add_column(heading, justify="right")
+    grid = figures_table(
+        f"One marker of {100 * SIDE_M:g} cm, tracked at {SIZE} from {HEIGHTS_M} m",
+        *("family", "peer", "our recall %", "its", "our error mm", f"of its (≤{MOST_ERROR_SHARE:g})"),
+        *("our ms", f"times less (≥{LEAST_TIMES_LESS:g})"),
+    )
     recall = error = faster = True
     for run in runs:
         ours = run.ours

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from benchmarks.report import figures_table
 from companion.base.geometry import FloatArray, matrix_from_quat
 from companion.base.messages import Frame
 from companion.config import CameraConfig, VisionConfig
@@ -123,19 +124,11 @@ def _rms(errors_px: FloatArray) -> float:
 
 def photo_table(photos: list[PhotoErrors]) -> tuple[Table, dict[str, bool]]:
     """What was found beside what is there."""
-    grid = Table(title="Real photographs")
-    worst = f"worst coordinate px (≤{CORNER_PX:g})"
-    for heading in (
-        "photo",
-        "found",
-        "missed",
-        "false",
-        "rms px",
-        worst,
-        "refined, to the border: rms px",
-        "worst px",
-    ):
-        grid.add_column(heading, justify="right")
+    grid = figures_table(
+        "Real photographs",
+        *("photo", "found", "missed", "false", "rms px", f"worst coordinate px (≤{CORNER_PX:g})"),
+        *("refined, to the border: rms px", "worst px"),
+    )
     for photo in photos:
         grid.add_row(
             photo.name,
@@ -208,9 +201,8 @@ def _matched(references: list[FloatArray], found: list[FloatArray]) -> int:
 
 def tag_table(pictures: list[TagCounts]) -> tuple[Table, dict[str, bool]]:
     """What was read beside what their detector and OpenCV's read."""
-    grid = Table(title="AprilRobotics' pictures: one tag many times")
-    for heading in ("picture", "tags", "read", "OpenCV's", "others (0)"):
-        grid.add_column(heading, justify="right")
+    title = "AprilRobotics' pictures: one tag many times"
+    grid = figures_table(title, "picture", "tags", "read", "OpenCV's", "others (0)")
     for each in pictures:
         numbers = (each.printed, each.ours, each.peers, each.false)
         grid.add_row(each.name, *(str(number) for number in numbers))
@@ -291,7 +283,7 @@ def read_set(folder: Path, pad_name: str) -> SetErrors:
 
 
 class Peer:
-    """OpenCV's detector and pose for one pad and camera."""
+    """OpenCV's detector, with corners refined to a share of a pixel, and pose for one pad and camera."""
 
     def __init__(self, pad: Pad, camera: CameraConfig) -> None:
         parameters = cv2.aruco.DetectorParameters()
@@ -388,10 +380,11 @@ def _look(vision: Vision, image: NDArray[np.uint8], true: Pose) -> PoseError | N
 
 def photoreal_table(sets: list[SetErrors]) -> tuple[Table, dict[str, bool]]:
     """Ours beside the peer's and the bars."""
-    grid = Table(title="Photoreal pictures: ours / the peer's (bar)")
-    headings = ("set", "poses", "position mm: median", "p90", "largest, % of range", "largest turn °")
-    for heading in (*headings, "NEES position median, mean", "rotation median, mean", f"> {SIGMAS:g} sigma"):
-        grid.add_column(heading, justify="right")
+    grid = figures_table(
+        "Photoreal pictures: ours / the peer's (bar)",
+        *("set", "poses", "position mm: median", "p90", "largest, % of range", "largest turn °"),
+        *("NEES position median, mean", "rotation median, mean", f"> {SIGMAS:g} sigma"),
+    )
     bars: dict[str, bool] = {}
     for each in sets:
         held = _bars(each)

@@ -150,23 +150,25 @@ class PadBeforeCamera:
 
     def __init__(
         self,
-        size: str,
-        side_cm: float,
+        camera: CameraConfig,
+        pad: Pad,
         rng: np.random.Generator,
         board: Texture | None = None,
         *,
         finer: int = 1,
-        pad: Pad | None = None,
+        instants: int = INSTANTS,
     ) -> None:
-        """`finer`: each pixel is the mean of so many by so many places, for corners to a hundredth of one."""
-        self.camera = camera_named(size)
-        self.pad = pad_of(side_cm) if pad is None else pad
+        """`finer`: each pixel is the mean of so many by so many places, for corners to a hundredth of one.
+
+        `instants`: at so many times within a frame the scene is looked at.
+        """
+        self.camera, self.pad = camera, pad
         self._single = len(self.pad.markers) == 1
         self._rng = rng
         settings = ImagingSettings()
         noise = rng.spawn(1)[0]
         self._model = CameraModel(
-            self.camera, vehicle(), self.pad, settings, noise, board=board, instants=INSTANTS, finer=finer
+            self.camera, vehicle(), self.pad, settings, noise, board=board, instants=instants, finer=finer
         )
         self.body_from_camera = self._model.body_from_camera
         self._sequence = 0

@@ -11,14 +11,14 @@ count.
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
-import cv2
 import numpy as np
 
 from benchmarks.vision.cases import SEED
 from benchmarks.vision.judge import eyes
-from benchmarks.vision.shots import ATTITUDE_STD_RAD, PadBeforeCamera
+from benchmarks.vision.photos import Peer
+from benchmarks.vision.shots import ATTITUDE_STD_RAD, HoverScene, PadBeforeCamera, camera_named, pad_of
 from companion.base.geometry import (
     Quaternion,
     Vector3,
@@ -32,7 +32,6 @@ from companion.base.geometry import (
 )
 from companion.base.messages import Frame, PadPrior, PadSighting
 from companion.config import VisionConfig
-from companion.pad import DICTIONARIES, Pad
 
 HEIGHTS_M: Final = (0.15, 0.3, 0.6, 1.0, 3.0, 6.0, 9.0, 12.0)
 FRAMES_OF_A_HOVER: Final = 30
@@ -57,27 +56,6 @@ class Times:
     def ratio(self) -> float:
         """How many times less our median is."""
         return float(np.median(self.peers_s) / np.median(self.ours_s))
-
-
-class OpenCvDetector:
-    """OpenCV's detector for one pad's dictionaries."""
-
-    def __init__(self, pad: Pad) -> None:
-        parameters = cv2.aruco.DetectorParameters()
-        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        names = sorted({marker.dictionary for marker in pad.markers})
-        dictionaries = [cv2.aruco.getPredefinedDictionary(DICTIONARIES[name]) for name in names]
-        self._detector = cv2.aruco.ArucoDetector(dictionaries, parameters)
-        self._printed = {(names.index(marker.dictionary), marker.id) for marker in pad.markers}
-
-    def sees(self, frame: Frame) -> bool:
-        """Whether any of the pad's markers is in the frame."""
-        _, ids, _, which = self._detector.detectMarkersMultiDict(frame.image)
-        return any(found in self._printed for found in zip(_numbers(which), _numbers(ids), strict=True))
-
-
-def _numbers(values: Any) -> list[int]:
-    return [] if values is None else [int(v) for v in np.asarray(values).reshape(-1)]
 
 
 class Follower:
@@ -115,21 +93,22 @@ def measure(size: str, height_m: float, frames: int) -> Times:
     times, hovers = Times(size, height_m), 0
     while len(times.ours_s) < frames:
         rng = np.random.default_rng((SEED, 2_000_003, hovers, round(100 * height_m)))
-        stage = PadBeforeCamera(size, 0.0, rng)
+        stage = PadBeforeCamera(camera_named(size), pad_of(0.0), rng)
         _time_hover(times, stage, rng, frames)
         hovers += 1
     return times
 
 
 def _time_hover(times: Times, stage: PadBeforeCamera, rng: np.random.Generator, frames: int) -> None:
-    vision, peer, follower = eyes(stage, VisionConfig()), OpenCvDetector(stage.pad), Follower(rng)
-    for k, (frame, attitude) in enumerate(_hover(stage, times.height_m)):
+    vision, peer, follower = eyes(stage, VisionConfig()), Peer(stage.pad, stage.camera), Follower(rng)
+    scene = hover_scene(stage, times.height_m)
+    for k, (frame, attitude) in enumerate(frames_of(stage, scene)):
         prior = follower.expects(frame.time_s, attitude)
         began_s = time.thread_time()
         result = vision.step(frame, prior)
         ours_s = time.thread_time() - began_s
         began_s = time.thread_time()
-        seen = peer.sees(frame)
+        points, _ = peer.read(frame.image)
         peers_s = time.thread_time() - began_s
         if result.sighting is not None:
             follower.take(result.sighting, attitude)
@@ -137,12 +116,16 @@ def _time_hover(times: Times, stage: PadBeforeCamera, rng: np.random.Generator, 
             times.ours_s.append(ours_s)
             times.peers_s.append(peers_s)
             times.ours_seen += result.sighting is not None
-            times.peers_seen += seen
+            times.peers_seen += len(points) > 0
 
 
-def _hover(stage: PadBeforeCamera, height_m: float) -> Iterator[tuple[Frame, Quaternion]]:
+def hover_scene(stage: PadBeforeCamera, height_m: float) -> HoverScene:
+    """One that lasts for the frames of a hover."""
+    return stage.scene(height_m, follows_s=FRAMES_OF_A_HOVER / stage.camera.rate_hz)
+
+
+def frames_of(stage: PadBeforeCamera, scene: HoverScene) -> Iterator[tuple[Frame, Quaternion]]:
     """Frames one after another, and the true attitude at each."""
     period_s = 1.0 / stage.camera.rate_hz
-    scene = stage.scene(height_m, follows_s=FRAMES_OF_A_HOVER * period_s)
     for k in range(FRAMES_OF_A_HOVER):
         yield stage.frame(scene, k * period_s), scene.pose(k * period_s).vehicle_attitude

@@ -9,12 +9,13 @@ has looked at that frame three times, as at three that follow each other.
 import math
 import zlib
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from rich.table import Table
 
+from benchmarks.report import figures_table
 from benchmarks.vision.cases import SEED
 from benchmarks.vision.photos import Peer
 from benchmarks.vision.shots import HoverScene, PadBeforeCamera, vehicle
@@ -22,8 +23,6 @@ from companion.base.messages import Frame, PadPrior
 from companion.config import CameraConfig, VisionConfig, find_file, load_model
 from companion.pad import load_pad
 from companion.sense.vision.pipeline import Vision
-from sitl.camera.camera import CameraModel
-from sitl.camera.exposure import ImagingSettings
 
 PADS: Final = ("indoor_400", "moving_1300", "touchdown_1300")
 CAMERAS: Final = (
@@ -55,25 +54,11 @@ class SweepOutcome:
     holes: tuple[tuple[float, bool], ...]
 
 
-class SweepStage(PadBeforeCamera):
-    """Any pad before any camera."""
-
-    def __init__(self, case: SweepCase, rng: np.random.Generator) -> None:
-        self.camera = load_model(CameraConfig, find_file("cameras", case.camera))
-        self.pad = load_pad(case.pad)
-        self._single = False
-        self._rng = rng
-        self._model = CameraModel(self.camera, vehicle(), self.pad, ImagingSettings(), rng.spawn(1)[0])
-        self.body_from_camera = self._model.body_from_camera
-        self._sequence = 0
-
-    def aside(self, scene: HoverScene) -> HoverScene:
-        """The same, half the board's side farther from its middle."""
-        north, east, down = scene.start_ned_m
-        way = float(self._rng.uniform(-math.pi, math.pi))
-        away = 0.5 * self.pad.width_m
-        place = (north + away * math.cos(way), east + away * math.sin(way), down)
-        return HoverScene(scene.moment, scene.tilt, place, scene.pad_heading_rad)
+def aside(scene: HoverScene, away: float, rng: np.random.Generator) -> HoverScene:
+    """The same, so far (m) to any side."""
+    north, east, down = scene.start_ned_m
+    way = float(rng.uniform(-math.pi, math.pi))
+    return replace(scene, start_ned_m=(north + away * math.cos(way), east + away * math.sin(way), down))
 
 
 def cases() -> list[SweepCase]:
@@ -84,7 +69,8 @@ def cases() -> list[SweepCase]:
 def sweep(case: SweepCase, shots: int) -> SweepOutcome:
     """So many hovers at each height."""
     rng = np.random.default_rng((SEED, zlib.crc32(f"{case.pad} {case.camera} {case.view}".encode())))
-    stage = SweepStage(case, rng)
+    camera = load_model(CameraConfig, find_file("cameras", case.camera))
+    stage = PadBeforeCamera(camera, load_pad(case.pad), rng, instants=3)
     peer = Peer(stage.pad, stage.camera)
     read = heights = 0
     holes = []
@@ -94,7 +80,7 @@ def sweep(case: SweepCase, shots: int) -> SweepOutcome:
         for _ in range(shots):
             tilt = float(rng.uniform(0.0, MOST_TILT_RAD)) if case.view == "tilted" else None
             scene = stage.scene(height_m, tilt)
-            scene = stage.aside(scene) if case.view == "half out" else scene
+            scene = aside(scene, 0.5 * stage.pad.width_m, rng) if case.view == "half out" else scene
             frame, prior = stage.frame(scene, 0.0), stage.expectation(scene, 0.0, height_m)
             if len(peer.read(frame.image)[0]) == 0:
                 continue
@@ -107,18 +93,15 @@ def sweep(case: SweepCase, shots: int) -> SweepOutcome:
     return SweepOutcome(case, read, heights, tuple(holes))
 
 
-def _found(stage: SweepStage, frame: Frame, prior: PadPrior) -> bool:
+def _found(stage: PadBeforeCamera, frame: Frame, prior: PadPrior) -> bool:
     vision = Vision(stage.pad, stage.camera, vehicle(), VisionConfig())
     return any(vision.step(frame, prior).sighting is not None for _ in range(FRAMES))
 
 
 def sweep_table(outcomes: list[SweepOutcome]) -> tuple[Table, dict[str, bool]]:
     """Holes by pad and camera."""
-    grid = Table(
-        title=f"Frames that OpenCV reads, not found within {FRAMES} frames: with a prior, without one"
-    )
-    for heading in ("pad", "camera", *VIEWS, "holes at m"):
-        grid.add_column(heading, justify="right")
+    title = f"Frames that OpenCV reads, not found within {FRAMES} frames: with a prior, without one"
+    grid = figures_table(title, "pad", "camera", *VIEWS, "holes at m")
     pairs = dict.fromkeys((outcome.case.pad, outcome.case.camera) for outcome in outcomes)
     for pad, camera in pairs:
         rows = {o.case.view: o for o in outcomes if (o.case.pad, o.case.camera) == (pad, camera)}

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from rich.table import Table
 
+from benchmarks.report import figures_table
 from benchmarks.state.consistency import band
 from benchmarks.vision.cases import MOST_TILT_RAD, CaseOutcome, VisionCase, clutter_shots, mean_nees, rmse_m
 from benchmarks.vision.judge import JudgedShot
-from benchmarks.vision.shots import PadBeforeCamera
 from benchmarks.vision.speed import Times
 from sitl.camera.textures import GreyImage
 
@@ -68,13 +68,6 @@ def pad_cases() -> list[VisionCase]:
     return [VisionCase(size, 0.0, height_m) for size in FASTER for height_m in PAD_HEIGHTS_M]
 
 
-def _grid(title: str, headings: Sequence[str]) -> Table:
-    grid = Table(title=title)
-    for heading in headings:
-        grid.add_column(heading, justify="right")
-    return grid
-
-
 def _mark(holds: bool) -> str:
     return "" if holds else " ✗"
 
@@ -84,9 +77,9 @@ def _mark(holds: bool) -> str:
 
 def recall_tables(outcomes: Outcomes) -> tuple[list[Table], Bars]:
     """Single markers and the pad."""
-    single = _grid(
+    single = figures_table(
         f"Table 2: recall % of single markers at {PAPER_SIZE} (the paper's), missed of all",
-        ["side", *(f"{h:g} m" for h in PAPER_HEIGHTS_M)],
+        *("side", *(f"{h:g} m" for h in PAPER_HEIGHTS_M)),
     )
     held = []
     for side_cm in (5.0, 10.0, 18.0):
@@ -104,9 +97,9 @@ def recall_tables(outcomes: Outcomes) -> tuple[list[Table], Bars]:
                 f"{100.0 * outcome.recall:.2f} ({paper:g}) {outcome.missed}/{outcome.shots}{_mark(held[-1])}"
             )
         single.add_row(f"{side_cm:g} cm", *row)
-    pad = _grid(
+    pad = figures_table(
         "The shipped pad: recall % (bar), missed of all; of those seen, found by a search of the whole frame",
-        ["camera", *(f"{h:g} m" for h in PAD_HEIGHTS_M)],
+        *("camera", *(f"{h:g} m" for h in PAD_HEIGHTS_M)),
     )
     pad_held = []
     for size in FASTER:
@@ -134,13 +127,11 @@ def error_tables(outcomes: Outcomes) -> tuple[list[Table], Bars]:
         if case.side_cm == 0.0 or (case.side_cm, case.height_m) in PAPER_RMSE_CM
     ]
     low, high = nees_band(NEES_SHOTS, 2 * len(rows))
-    grid = _grid(
+    grid = figures_table(
         f"Table 3: the position, all axes together. NEES of {NEES_SHOTS} shots / of all; the former is in "
         f"{low:.2f}..{high:.2f} in every row at once in 95 runs of 100. * not a bar",
-        [
-            *("pad", "height", "RMSE cm", "paper's or bar", "times better", "Cramér-Rao cm"),
-            *("RMSE / bound", "corner noise px", "NEES, lens exact", "NEES, lens drawn", "eq. 1 RMSE cm"),
-        ],
+        *("pad", "height", "RMSE cm", "paper's or bar", "times better", "Cramér-Rao cm"),
+        *("RMSE / bound", "corner noise px", "NEES, lens exact", "NEES, lens drawn", "eq. 1 RMSE cm"),
     )
     for row in rows:
         grid.add_row(*row.cells(len(rows)))
@@ -214,9 +205,9 @@ def nees_band(shots: int, rows: int) -> tuple[float, float]:
 
 def flips_table(outcomes: Outcomes) -> tuple[Table, Bars]:
     """By pad and height."""
-    grid = _grid(
+    grid = figures_table(
         "Flips at tilts of 0..10° (off by more than 10° or tilting to the other side)",
-        ["pad", "flips", "sightings", "shots", "turn error p50, p99, worst °"],
+        *("pad", "flips", "sightings", "shots", "turn error p50, p99, worst °"),
     )
     total = 0
     for name, single in (("one marker, 1280x720", True), ("whole pad, 640x480", False)):
@@ -236,9 +227,9 @@ def flips_table(outcomes: Outcomes) -> tuple[Table, Bars]:
 
 def speed_table(all_times: Sequence[Times]) -> tuple[Table, Bars]:
     """By camera and height, and over all heights."""
-    grid = _grid(
+    grid = figures_table(
         "Frame time while tracking beside cv2.aruco.ArucoDetector (CORNER_REFINE_SUBPIX), one thread",
-        ["camera", "height", "ours ms", "peer ms", "times less", "our recall %", "peer's %"],
+        *("camera", "height", "ours ms", "peer ms", "times less", "our recall %", "peer's %"),
     )
     bars: Bars = {}
     for size, bar in FASTER.items():
@@ -306,7 +297,7 @@ def contact_sheet(path: Path) -> None:
 def _frame(case: VisionCase) -> tuple[GreyImage, tuple[float, float]]:
     """A frame, and where the pad's centre is in it."""
     rng = case.rng(SHEET_CHUNK)
-    stage = PadBeforeCamera(case.size, case.side_cm, rng)
+    stage = case.stage(rng)
     shot = stage.shoot(case.height_m, MOST_TILT_RAD if case.tilted else None)
     u, v = stage.pixels(shot.scene, np.zeros((1, 3)))[0][0].tolist()
     return shot.frame.image, (u, v)
