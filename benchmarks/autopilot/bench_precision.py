@@ -28,9 +28,8 @@ from typing import Any, Final, Literal
 import numpy as np
 from rich.table import Table
 
+from benchmarks.in_process import app_and_vehicle
 from benchmarks.report import BenchReport
-from companion.app.app import App
-from companion.app.hardware import make_own_actions
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import (
@@ -46,8 +45,6 @@ from companion.base.messages import Outcome, Phase
 from companion.config import CONFIG_FOLDER
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Codec, mavlink
-from companion.link.transport import memory_pair
-from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.firmware.spec import FirmwareSpec
@@ -55,6 +52,7 @@ from sitl.run.in_process import InProcess
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import PassBounds, Scenario
 from sitl.world.score import judge
+from tests.beside import beside
 
 SMOKE: Final = ("--runs", "1", "--autopilot_kind", "ardupilot", "--case", "line 1")
 Targets = Literal["camera", "truth"]
@@ -308,17 +306,9 @@ def fly(
 
 async def _fly(trial: Trial, case: PrecisionCase, targets: Targets) -> PrecisionLandingResult:
     config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
-    app_end, vehicle_end = memory_pair()
-    vehicle = InProcess(
-        trial.scenario,
-        trial.seed,
-        link=vehicle_end,
-        gps_baud=config.sense.gps.baud,
-        firmware=trial.firmware,
-        keep_truth=False,
-    )
-    vehicle.wants_frames = False
     log = FlightLog(None, start_unix_s=0.0)
+    app, vehicle = app_and_vehicle(trial, config, log, keep_truth=False)
+    vehicle.wants_frames = False
     kind = trial.scenario.autopilot
     with closing(vehicle.simulation) as simulation, closing(log):
         if trial.firmware is None:
@@ -327,15 +317,9 @@ async def _fly(trial: Trial, case: PrecisionCase, targets: Targets) -> Precision
             simulation.autopilot.reboot()
         operator = Operator(simulation, kind, case)
         truth = TruthTargets(operator, simulation, kind, trial.seed)
-        app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions)
         telling = truth.run() if targets == "truth" else app.run()
-        tasks = [asyncio.create_task(work) for work in (simulation.run(), telling)]
-        try:
+        async with beside(simulation.run(), telling) as tasks:
             return await _operate(operator, vehicle, camera=targets == "camera", tasks=tasks)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def _operate(

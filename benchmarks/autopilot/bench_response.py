@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -43,6 +44,7 @@ from sitl.pad.paths import Meeting, StaticMotion
 from sitl.run.in_process import InProcess
 from sitl.scenario.scenario import PadSettings, Scenario
 from sitl.world.world import World
+from tests.beside import beside
 
 SMOKE: Final = ()
 FINER: Final = 4  # dead times fall between rows
@@ -237,18 +239,12 @@ async def _flown(scenario: Scenario, kind: Kind, seed: int, firmware: FirmwareSp
             app_end.write(session.tick(clock.now_s()))
             await asyncio.sleep(0.05)
 
-    tasks = [asyncio.create_task(work) for work in (vehicle.simulation.run(), listen(), beat())]
-    try:
-        world = vehicle.simulation.world
-        assert isinstance(world, World)
-        sender = _Sender(world, session, app_end.write, clock, kind, seed)
-        await _take_off(actions, sender, world, clock)
-        return await sender.excite()
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-        vehicle.simulation.close()
+    with closing(vehicle.simulation) as simulation:
+        async with beside(simulation.run(), listen(), beat()):
+            world = simulation.world
+            sender = _Sender(world, session, app_end.write, clock, kind, seed)
+            await _take_off(actions, sender, world, clock)
+            return await sender.excite()
 
 
 async def _take_off(actions: PymavlinkActions, sender: _Sender, world: World, clock: Clock) -> None:

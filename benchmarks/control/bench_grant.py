@@ -22,24 +22,21 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.faults.cases import changed
+from benchmarks.in_process import app_and_vehicle
 from benchmarks.report import BenchReport
-from companion.app.app import App
-from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
 from companion.config import CONFIG_FOLDER
 from companion.flightlog.record import FlightLog
 from companion.link.codec import mavlink
-from companion.link.transport import memory_pair
-from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.campaign.tables import Bar, at_most
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.framing import FrameReader
-from sitl.run.in_process import InProcess
 from sitl.run.simulation import Simulation
 from sitl.scenario.as_built import NOTHING_ELSE
 from sitl.scenario.scenario import Scenario, load_scenario
+from tests.beside import beside
 
 SMOKE: Final = ("--seeds", "1", "--shares", "1", "--jobs", "1")
 SHARES: Final = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6)
@@ -122,28 +119,16 @@ def fly(firmware: FirmwareSpec | None, flight: tuple[float, int]) -> Grant:
 
 async def _fly(trial: Trial, found: Grant) -> Grant:
     config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
-    app_end, vehicle_end = memory_pair()
-    vehicle = InProcess(
-        trial.scenario, trial.seed, link=vehicle_end, gps_baud=config.sense.gps.baud, firmware=trial.firmware
-    )
     log = FlightLog(None, start_unix_s=0.0)
+    app, vehicle = app_and_vehicle(trial, config, log)
     with closing(vehicle.simulation) as simulation, closing(log):
         witness = GrantWitness(simulation, found, log)
         simulation.on_step = witness.step
         simulation.line.listeners.append(witness.hear)
-        app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions)
-        tasks: list[asyncio.Task[Any]] = [
-            asyncio.create_task(simulation.run()),
-            asyncio.create_task(app.run()),
-        ]
-        try:
-            while not tasks[1].done() and simulation.world.time_s < _until_s(found):
+        async with beside(simulation.run(), app.run()) as (_, flight):
+            while not flight.done() and simulation.world.time_s < _until_s(found):
                 vehicle.wants_frames = found.began_s is None  # or it would approach the pad, and descend
-                await asyncio.wait(tasks[1:], timeout=LOOK_S)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+                await asyncio.wait([flight], timeout=LOOK_S)
         found.texts = [said.text for said in simulation.status_text_monitor.texts]
     return found
 

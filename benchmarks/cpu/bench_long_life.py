@@ -12,7 +12,7 @@ import asyncio
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -39,6 +39,7 @@ from companion.sim.trial import Trial
 from sitl.campaign.tables import Bar, at_most
 from sitl.run.in_process import InProcess
 from sitl.scenario.scenario import load_scenario
+from tests.beside import beside
 
 SMOKE: Final = ("--minutes", "2")
 SEES_S: Final = 9.0
@@ -127,18 +128,12 @@ async def fly(minutes: int, steps_s: list[float], *, logs: bool = True) -> tuple
     with tempfile.TemporaryDirectory(prefix="bench-long-life-") as folder:
         log = FlightLog(Path(folder) if logs else None, start_unix_s=0.0, keeps=False)  # as on board
         app = App(config, hardware, log, make_own_actions)
-        world = asyncio.create_task(vehicle.simulation.run())
-        flight = asyncio.create_task(app.run())
-        try:
-            made = []
-            async for minute in _minutes(minutes, vehicle, frames, flight, steps_s):
-                made.append(minute)
-                print(f"{len(made)}/{minutes} min: {minute.memory_mb:.1f} MB", flush=True)
-        finally:
-            for task in (flight, world):
-                task.cancel()
-            await asyncio.gather(flight, world, return_exceptions=True)
-            log.close()
+        made = []
+        with closing(log):
+            async with beside(app.run(), vehicle.simulation.run()) as (flight, _):
+                async for minute in _minutes(minutes, vehicle, frames, flight, steps_s):
+                    made.append(minute)
+                    print(f"{len(made)}/{minutes} min: {minute.memory_mb:.1f} MB", flush=True)
     words = [said.text for said in vehicle.simulation.status_text_monitor.texts]
     return made, words[-1] if len(made) < minutes else ""
 

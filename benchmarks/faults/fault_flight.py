@@ -20,8 +20,8 @@ from benchmarks.faults.judge import HOLD_MODES, SafetyBounds, SafetyVerdict, jud
 from benchmarks.faults.sent_limits import OBEYED_MODES
 from benchmarks.faults.standing_by import play
 from benchmarks.faults.witness import Commanded, FaultWitness, SentSetpoint, TruthSample, WitnessedFlight
+from benchmarks.in_process import app_and_vehicle
 from companion.app.app import App
-from companion.app.hardware import make_own_actions
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import run_in_virtual_time
 from companion.base.messages import ControlReport, VehicleState
@@ -29,9 +29,7 @@ from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
 from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
 from companion.link.signing import KEY_BYTES
-from companion.link.transport import memory_pair
 from companion.sense.vision.opencv import prepare_opencv
-from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.autopilot.flight.autopilot import PROFILES
@@ -42,6 +40,7 @@ from sitl.run.in_process import InProcess
 from sitl.run.process_control import interrupted_at_once
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario
+from tests.beside import beside
 
 Told = TypeVar("Told", bound=VehicleState | ControlReport)
 HELD_S: Final = 4.0
@@ -170,15 +169,9 @@ async def _fly(
     prepare: Callable[[Simulation], None],
     story: StandingBy | None,
 ) -> WitnessedFlight:
-    app_end, vehicle_end = memory_pair()
-    vehicle = InProcess(
-        trial.scenario,
-        trial.seed,
-        link=vehicle_end,
-        gps_baud=config.sense.gps.baud,
-        computer=faults,
-        signing_key=None if config.link.signing_key is None else read_key(config.link.signing_key),
-    )
+    key = None if config.link.signing_key is None else read_key(config.link.signing_key)
+    stays = story is not None
+    app, vehicle = app_and_vehicle(trial, config, log, stays=stays, computer=faults, signing_key=key)
     simulation = vehicle.simulation
     for name, value in SETPOINTS_LOST[trial.scenario.autopilot].items():
         chosen = trial.scenario.autopilot_parameters.get(name, value)
@@ -188,17 +181,13 @@ async def _fly(
     witness = FaultWitness(simulation)
     simulation.on_step = witness.step
     simulation.line.listeners.append(witness.hear)
-    app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions, stays=story is not None)
-    world = asyncio.create_task(simulation.run())
-    try:
+    async with beside(simulation.run()):
         if story is None:
             await _run_app(app, trial.scenario.time_limit_s, vehicle, witness.record)
             vehicle.wants_frames = False
             await _aftermath(vehicle, witness.record)
         else:
             await _play(story, app, vehicle, witness.record)
-    finally:
-        await _cancel(world)
     record = witness.record
     record.commanded = [
         Commanded(plan.time_s, plan.reference.origin, float(plan.reference.position_m[0, 2]))
@@ -242,32 +231,26 @@ def _newest(at: Sequence[TruthSample | SentSetpoint], told: Sequence[Told]) -> I
 
 async def _play(story: StandingBy, app: App, vehicle: InProcess, record: WitnessedFlight) -> None:
     """Run an app that stays beside a story; a failed app is the bench's failure too."""
-    running = asyncio.create_task(app.run())
-    playing = asyncio.create_task(play(story, app, vehicle, record))
-    try:
-        await asyncio.wait([running, playing], return_when=asyncio.FIRST_COMPLETED)
-        (running if running.done() else playing).result()
-    finally:
-        await _cancel(playing)
-        await _cancel(running)
+    async with beside(app.run(), play(story, app, vehicle, record)) as tasks:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        next(task for task in tasks if task.done()).result()
 
 
 async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: WitnessedFlight) -> None:
     """Let it run to its end, to a crash, to the limit or to what will not change; a failed app is noted."""
-    flight = asyncio.create_task(app.run())
     world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
-    moved_s = 0.0
-    while not flight.done() and world.time_s < min(limit_s, moved_s + STANDS_S) and not world.watch.crashed:
-        if not (world.at_rest_on_pad and autopilot.armed):
-            moved_s = world.time_s
-        await asyncio.wait([flight], timeout=LOOK_S)
-    if flight.done() or world.watch.crashed:
-        record.app_ended_s = world.time_s
-    else:
-        record.app_stopped_s = world.time_s
-    if flight.done() and (failure := flight.exception()) is not None:
-        record.app_failed = _words(failure)
-    await _cancel(flight)
+    watch, moved_s = world.watch, 0.0
+    async with beside(app.run()) as (flight,):
+        while not flight.done() and world.time_s < min(limit_s, moved_s + STANDS_S) and not watch.crashed:
+            if not (world.at_rest_on_pad and autopilot.armed):
+                moved_s = world.time_s
+            await asyncio.wait([flight], timeout=LOOK_S)
+        if flight.done() or watch.crashed:
+            record.app_ended_s = world.time_s
+        else:
+            record.app_stopped_s = world.time_s
+        if flight.done() and (failure := flight.exception()) is not None:
+            record.app_failed = _words(failure)
 
 
 def _words(failure: BaseException) -> str:
@@ -293,8 +276,3 @@ async def _aftermath(vehicle: InProcess, record: WitnessedFlight) -> None:
         if world.at_rest_on_pad or not world.contact.on_board:
             return
         await asyncio.sleep(LOOK_S)
-
-
-async def _cancel(task: asyncio.Task[Any]) -> None:
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)

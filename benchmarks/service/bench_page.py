@@ -27,6 +27,7 @@ from mcap.reader import make_reader
 
 from benchmarks.report import BenchReport
 from sitl.campaign.tables import Bar, at_most
+from tests.beside import beside
 from tests.browser import PHONE, Tab, browser, program
 from tests.scenario.flying import COMMAND, ROOT, environment
 
@@ -228,16 +229,14 @@ async def _looking(flight: PageFlight, folder: Path, url: str, viewers: int | No
         async with browser(folder) as tab:
             await tab.resize(PHONE, 2.0)
             await tab.open(url)
-            watching = asyncio.create_task(_read(flight, tab))
-            yield
-            watching.cancel()
+            async with beside(_read(flight, tab)):
+                yield
         return
-    async with aiohttp.ClientSession() as session:
-        tasks = [asyncio.create_task(_view(flight, session, url)) for _ in range(viewers)]
+    async with (
+        aiohttp.ClientSession() as session,
+        beside(*(_view(flight, session, url) for _ in range(viewers))),
+    ):
         yield
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def _view(flight: PageFlight, session: aiohttp.ClientSession, url: str) -> None:

@@ -28,6 +28,7 @@ from sitl.external.session import ExternalConnections, ExternalSimulation
 from sitl.run.in_process import RANGE_BAUD, MemoryFrames
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
+from tests.beside import beside
 
 SPEC: Final = "udp:127.0.0.1:1"  # nobody connects: the pipes are there already
 _FOUND_TIMEOUT_S: Final = 20.0
@@ -81,13 +82,9 @@ async def _fly(name: str, seed: int, kind: AutopilotKind, changes: dict[str, Any
         wired = validate(CompanionConfig, merge(settings.model_dump(), changes), "the flight")
         hardware = Hardware(app_end, frames, imu_bus=None, gps_port=None, range_port=range_port.app)
         app = App(wired, hardware, log, make_own_actions, lambda _status: None)
-        flight = asyncio.create_task(app.run())
-        try:
+        async with beside(app.run()) as (flight,):
             await asyncio.wait([flight], timeout=trial.time_limit_s)
             phase = flight.result() if flight.done() else app.phase
-        finally:
-            flight.cancel()
-            await asyncio.gather(flight, return_exceptions=True)
         report = world.report(phase)
     result = score(trial, SitlFlight(report, 1.0, app.loop_monitor.late_share), log)
     return ExternalFlight(result, [f"{event.time_s:.1f} {event.text}" for event in result.events])
@@ -109,13 +106,6 @@ async def _world(
     )  # fmt: skip
     connections = ExternalConnections(world_end, relay, range_port, frames)
     world = ExternalSimulation(trial.scenario, trial.seed, connections, lambda _text: None)
-    tasks = [
-        asyncio.create_task(part) for part in (vehicle.run(), vehicle.line.serve(truth_end), world.run())
-    ]
-    try:
+    async with beside(vehicle.run(), vehicle.line.serve(truth_end), world.run()):
         await asyncio.wait_for(world.ready.wait(), _FOUND_TIMEOUT_S)
         yield world, app_end, frames, range_port
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)

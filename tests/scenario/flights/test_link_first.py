@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import pytest
 
+from benchmarks import in_process
 from benchmarks.faults import fault_flight
 from benchmarks.faults.cases import FaultRun, changed, faultless, scenario_of
 from benchmarks.faults.witness import WitnessedFlight
@@ -92,7 +93,7 @@ def listening(**settings: Any) -> Iterator[Callable[[WitnessedFlight], RecordedF
         return RecordedFlight(record, listener.modes, listener.setpoints_s, listener.failures)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fault_flight, "memory_pair", heard_pair)
+        patch.setattr(in_process, "memory_pair", heard_pair)
         yield heard
 
 

@@ -17,6 +17,7 @@ from sitl.external.link import open_relay
 from sitl.run.simulation import Simulation
 from sitl.run.tick_timer import LATE_S
 from sitl.scenario.scenario import Scenario, load_scenario
+from tests.beside import beside
 from tests.scenario.flying import COMMAND, FEW_PICTURES, ROOT, environment, scenario_file
 from tests.scenario.real_time.quiet_machine import (
     LATE,
@@ -57,26 +58,23 @@ async def fly(scenario: Path, folder: Path) -> tuple[int, str, float]:
         vehicles_world(), 0, link=link, gps_port=MemoryPort(9600), range_port=MemoryPort(9600),
         deliver_frame=lambda _frame: None, camera_wanted=lambda: False, serve_truth=True,
     )  # fmt: skip
-    flying = asyncio.create_task(vehicle.run())
     words = ("--sitl", "--no-ui", "--autopilot", "external", "--connect", f"udp:127.0.0.1:{port}",
              "--scenario", scenario, "--json", folder / "result.json",
              "--record", folder / "log")  # fmt: skip
-    process = await asyncio.create_subprocess_exec(
-        *COMMAND, *map(str, words), cwd=ROOT, env=environment(),
-        stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
-    )  # fmt: skip
-    try:
-        _, said = await asyncio.wait_for(process.communicate(), FLIGHT_TIMEOUT_S)
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
-        late_s = vehicle._timer.latest_s
-        flying.cancel()
-        await asyncio.gather(flying, return_exceptions=True)
-        link.close()
+    async with beside(vehicle.run()):
+        process = await asyncio.create_subprocess_exec(
+            *COMMAND, *map(str, words), cwd=ROOT, env=environment(),
+            stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        try:
+            _, said = await asyncio.wait_for(process.communicate(), FLIGHT_TIMEOUT_S)
+        finally:
+            if process.returncode is None:
+                process.kill()
+                await process.wait()
+    link.close()
     assert process.returncode is not None
-    return process.returncode, said.decode(), late_s
+    return process.returncode, said.decode(), vehicle._timer.latest_s
 
 
 def requests_of_the_app(path: Path) -> set[int]:

@@ -31,6 +31,7 @@ from sitl.external import client as external_client
 from sitl.external.link import open_link, open_relay
 from sitl.external.session import ExternalConnections, ExternalSimulation
 from sitl.scenario.scenario import Scenario
+from tests.beside import beside
 from tests.unit.sitl.external.external_bench import Player
 from tests.unit.sitl.external.external_vehicle import ARDUPILOT, GROUND, LEVEL, PX4, Flight, heartbeat, hop
 
@@ -76,15 +77,11 @@ async def bench(folder: Path, player: Player, scenario: Scenario = SCENARIO) -> 
         scenario, 0, ExternalConnections(link, relay, range_port, server), texts.append
     )
     stream = await FrameStream.open(server.address)
-    running = asyncio.create_task(simulation.run())
     built = ExternalBench(simulation, player, stream, range_port.path, relay_port, texts)
-    filming = asyncio.create_task(built.film())
     try:
-        yield built
+        async with beside(simulation.run(), built.film()):
+            yield built
     finally:
-        for task in (filming, running):
-            task.cancel()
-        await asyncio.gather(filming, running, return_exceptions=True)
         stream.close()
         await server.close()
         for end in (range_port, link, relay, player):
@@ -127,10 +124,8 @@ async def test_a_recorded_landing_is_filmed_and_scored(autopilot: int, tmp_path:
             while True:
                 echoes.extend(s.distance_m for s in finder.feed(await line.read(), Clock().now_s()))
 
-        listening = asyncio.create_task(listen())
-        await player.run(2.0, contact_s + 0.8)  # it stands until the world is ready, on a busy machine too
-        listening.cancel()
-        await asyncio.gather(listening, return_exceptions=True)
+        async with beside(listen()):
+            await player.run(2.0, contact_s + 0.8)  # it stands until the world is ready, on a busy machine
         line.close()
         report = b.simulation.report(Phase.LANDED)
         assert b.simulation.client.flown  # so its pose stays of one source
@@ -170,16 +165,14 @@ async def test_the_app_shares_the_connection_and_hears_of_the_pad(tmp_path: Path
     player = Player(PX4, flight, 9.0)
     async with bench(tmp_path, player) as b:
         app, codec = await open_link(f"udp:127.0.0.1:{b.relay_port}", print), Codec(1, 191)
-        playing = asyncio.create_task(player.run(0.2, 3.0))
-        await b.simulation.ready.wait()
-        question = command_long(mavlink.MAV_CMD_REQUEST_MESSAGE, (144, 0, 0, 0, 0, 0, 0), 255, 190)
-        app.write(codec.encode(question))
         kinds: dict[str, Any] = {}
-        while not {"FOLLOW_TARGET", "HEARTBEAT", "HIL_STATE_QUATERNION"} <= kinds.keys():
-            for message in codec.decode(await asyncio.wait_for(app.read(), 5.0)):
-                kinds[message.get_type()] = message
-        playing.cancel()
-        await asyncio.gather(playing, return_exceptions=True)
+        async with beside(player.run(0.2, 3.0)):
+            await b.simulation.ready.wait()
+            question = command_long(mavlink.MAV_CMD_REQUEST_MESSAGE, (144, 0, 0, 0, 0, 0, 0), 255, 190)
+            app.write(codec.encode(question))
+            while not {"FOLLOW_TARGET", "HEARTBEAT", "HIL_STATE_QUATERNION"} <= kinds.keys():
+                for message in codec.decode(await asyncio.wait_for(app.read(), 5.0)):
+                    kinds[message.get_type()] = message
         app.close()
     beacon = kinds["FOLLOW_TARGET"]
     place = ned_from_geodetic(beacon.lat * 1e-7, beacon.lon * 1e-7, beacon.alt, GROUND)
@@ -192,15 +185,14 @@ async def test_the_autopilot_and_the_app_get_a_rangefinder(tmp_path: Path) -> No
     player = Player(PX4, flight, 9.0)
     async with bench(tmp_path, player) as b:
         app, codec = await open_link(f"udp:127.0.0.1:{b.relay_port}", print), Codec(1, 191)
-        playing = asyncio.create_task(player.run(2.0, 3.0))
-        await b.simulation.ready.wait()
-        told = await player.hear("DISTANCE_SENSOR")
-        app.write(codec.encode(command_long(mavlink.MAV_CMD_RUN_PREARM_CHECKS, (0,) * 7, 1, 1)))
-        kinds: set[str] = set()
-        while "DISTANCE_SENSOR" not in kinds:
-            kinds |= {message.get_type() for message in codec.decode(await asyncio.wait_for(app.read(), 5.0))}
-        playing.cancel()
-        await asyncio.gather(playing, return_exceptions=True)
+        async with beside(player.run(2.0, 3.0)):
+            await b.simulation.ready.wait()
+            told = await player.hear("DISTANCE_SENSOR")
+            app.write(codec.encode(command_long(mavlink.MAV_CMD_RUN_PREARM_CHECKS, (0,) * 7, 1, 1)))
+            kinds: set[str] = set()
+            while "DISTANCE_SENSOR" not in kinds:
+                heard = codec.decode(await asyncio.wait_for(app.read(), 5.0))
+                kinds |= {message.get_type() for message in heard}
         app.close()
     assert told.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270
     sensor_m = load_model(VehicleConfig, find_file("vehicles", SCENARIO.airframe)).range_position_body_m

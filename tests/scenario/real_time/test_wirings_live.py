@@ -12,6 +12,7 @@ from companion.sense.range.range_finder import make_range_finder
 from companion.sim.process import SimulatorProcess
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
+from tests.beside import beside
 from tests.scenario.flying import scenario_file
 
 PATIENCE_S = 40.0
@@ -68,12 +69,9 @@ async def listen(config: CompanionConfig, hardware: Hardware, seconds: float) ->
         while True:
             heard.update(["range"] if await finder.read() else [])
 
-    tasks = [asyncio.create_task(run()) for run in (inertial, positions, questions, distances)]
     end_s = clock.now_s() + seconds
-    while len(heard) < 4 and clock.now_s() < end_s:
-        await asyncio.wait(tasks, timeout=0.1)
-        assert not any(task.done() for task in tasks), [task for task in tasks if task.done()]
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
+    async with beside(inertial(), positions(), questions(), distances()) as tasks:
+        while len(heard) < 4 and clock.now_s() < end_s:
+            await asyncio.wait(tasks, timeout=0.1)
+            assert not any(task.done() for task in tasks), [task for task in tasks if task.done()]
     return heard

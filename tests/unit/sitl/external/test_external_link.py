@@ -25,6 +25,7 @@ from sitl.external import pose as external_pose
 from sitl.external.link import check_connection, open_link, open_relay, pump
 from sitl.external.pose import LONGEST_GUESS_S, Pose, PoseTrack
 from sitl.run.process_control import read_report
+from tests.beside import beside
 from tests.programs import ProgramHere
 from tests.unit.link.transport.transport_ends import free_port
 from tests.unit.sitl.external.external_bench import Player
@@ -126,14 +127,12 @@ async def test_pumped_bytes_reach_every_sink_and_what_makes_no_sense_is_reported
 
     async with called() as (relay, caller):
         one, other = (queue.put_nowait for queue in handed_on)
-        pumping = asyncio.create_task(pump(relay, one, reckon, other, tell=told.append))
-        for data in (b"wild", b"wilder"):
-            caller.write(data)
-            for queue in handed_on:
-                assert await asyncio.wait_for(queue.get(), 5.0) == data
-        assert told == ["WARNING: ignored invalid data (math domain error)"]
-        pumping.cancel()
-        await asyncio.wait([pumping])
+        async with beside(pump(relay, one, reckon, other, tell=told.append)):
+            for data in (b"wild", b"wilder"):
+                caller.write(data)
+                for queue in handed_on:
+                    assert await asyncio.wait_for(queue.get(), 5.0) == data
+            assert told == ["WARNING: ignored invalid data (math domain error)"]
 
 
 # ---------------- The external world as a process: its words, its end, and its verdict
@@ -176,15 +175,13 @@ async def test_as_a_process_it_serves_and_judges(tmp_path: Path) -> None:
         cwd=CONFIG_FOLDER.parent,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
     )  # fmt: skip
-    playing = asyncio.create_task(player.run(20.0, 0.0))
-    assert process.stdout is not None
-    endpoints = json.loads(await asyncio.wait_for(process.stdout.readline(), 20.0))
-    assert endpoints["sense"]["source"] == "autopilot"
-    assert endpoints["sense"]["range"]["port"].startswith("/dev/")
-    assert endpoints["sense"]["vision"]["source"] == f"socket:{tmp_path / 'camera'}"
-    said, words = await asyncio.wait_for(process.communicate(b"finish search\n"), 20.0)
-    playing.cancel()
-    await asyncio.gather(playing, return_exceptions=True)
+    async with beside(player.run(20.0, 0.0)):
+        assert process.stdout is not None
+        endpoints = json.loads(await asyncio.wait_for(process.stdout.readline(), 20.0))
+        assert endpoints["sense"]["source"] == "autopilot"
+        assert endpoints["sense"]["range"]["port"].startswith("/dev/")
+        assert endpoints["sense"]["vision"]["source"] == f"socket:{tmp_path / 'camera'}"
+        said, words = await asyncio.wait_for(process.communicate(b"finish search\n"), 20.0)
     player.close()
     assert process.returncode == 0
     assert read_report(Path(json.loads(said)["report"])).outcome is Outcome.TIMEOUT
