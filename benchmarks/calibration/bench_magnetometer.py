@@ -24,7 +24,8 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.report import BenchReport, figures_table
-from benchmarks.state.streams import fly_stream, rerun, rms, settings_of
+from benchmarks.state.samples import rms
+from benchmarks.state.streams import fly_stream, rerun, settings_of
 from calibration.magnetometer.calibrate import Calibrated, TrueField, calibrate
 from calibration.magnetometer.collect import collect
 from calibration.magnetometer.ellipsoid import fit_ellipsoid

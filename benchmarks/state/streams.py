@@ -1,30 +1,27 @@
 """Recorded sensor streams: fly once with rendering, run the estimators over it again in seconds.
 
-    python -m benchmarks.state.streams --scenarios figure_8 --seeds 10 --folder streams
+    python -m benchmarks state --scenarios figure_8 --seeds 10 --streams streams
 
-flies in virtual time, in process, and leaves SCENARIO_SEED.pickle with what went into the estimator, in the
-order in which it came, and the truth. `rerun` drives a new estimator, with other settings if wanted, over
-a stream, as it flew or edited (a fault put in offline), and gives its errors against the truth with the
-filters' own covariances; unedited and with the settings that flew, it repeats what flew to the bit.
+flies in virtual time and leaves SCENARIO_SEED.pickle with what went into the estimator, in the order in which
+it came, and the truth. `rerun` drives a new estimator, with other settings if wanted, over a stream, and
+gives its errors against the truth with the filters' own covariances; with the settings that flew, it repeats
+what flew to the bit.
 
 Times are the virtual loop's (s), which the world counts by, too.
 """
 
 from __future__ import annotations
 
-import argparse
 import pickle
-import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 
-from benchmarks.state.samples import EstimatorAnswer, Samples, ask, rms, samples_of
+from benchmarks.state.samples import EstimatorAnswer, Samples, ask, samples_of
 from companion.base.messages import (
     AutopilotAttitude,
     GpsFix,
@@ -39,28 +36,11 @@ from companion.base.messages import (
 )
 from companion.config import CONFIG_FOLDER, CompanionConfig, VehicleConfig, find_file, load_model
 from companion.estimate.estimator import StateEstimator
-from companion.flightlog.errors import TruthTrack
 from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
 from companion.sim.runner import fly
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-
-__all__ = [
-    "INPUTS",
-    "Samples",
-    "Stream",
-    "StreamEvent",
-    "feed",
-    "fly_stream",
-    "load",
-    "new_estimator",
-    "rerun",
-    "rms",
-    "save",
-    "settings_of",
-    "stream_path",
-]
 
 INPUTS: Final[dict[str, type[Any]]] = {
     "imu": ImuSample,
@@ -72,6 +52,7 @@ INPUTS: Final[dict[str, type[Any]]] = {
 }
 # the vehicle's state is asked for in every control cycle: kept in its place among the inputs, as a question
 KEPT: Final[dict[str, type[Any]]] = {**INPUTS, "vehicle": VehicleState, "pad": PadState}
+SAMPLES_S: Final = 0.1  # at least, from one sample to the next
 AIRBORNE_M: Final = 0.5  # higher than that over its start the vehicle has taken off
 
 
@@ -96,12 +77,6 @@ class Stream:
     outcome: str
     failures: tuple[str, ...] = ()
     touchdown: dict[str, float] | None = None
-    notices: tuple[tuple[float, str], ...] = ()
-
-    @cached_property
-    def track(self) -> TruthTrack:
-        """The truth, to be interpolated."""
-        return TruthTrack(self.truth)
 
     @cached_property
     def airborne_s(self) -> tuple[float, float]:
@@ -115,15 +90,6 @@ class Stream:
         after = [t.time_s for t in self.truth[climb:] if t.in_contact]
         start_s, end_s = self.truth[0].time_s, self.truth[-1].time_s
         return (before[-1] if before else start_s, after[0] if after else end_s)
-
-    def edited(self, edit: Callable[[StreamEvent], StreamEvent | None]) -> Stream:
-        """A copy whose inputs have gone through `edit` (None: lost), in their new order of arrival."""
-        events = [
-            changed
-            for event in self.events
-            if (changed := edit(event) if event.topic in INPUTS else event) is not None
-        ]
-        return replace(self, events=tuple(sorted(events, key=lambda event: event.arrival_s)))
 
 
 # ---------------------------------------------------------------- flying
@@ -142,12 +108,11 @@ class _StreamLog(FlightLog):
             self.events.append(StreamEvent(topic, time_s, message))
 
 
-def fly_stream(trial: Trial, config: CompanionConfig | None = None) -> Stream:
+def fly_stream(trial: Trial) -> Stream:
     """Fly a trial in virtual time and keep its stream."""
     cv2.setNumThreads(1)
     log = _StreamLog()
-    settings = config or settings_of(trial)
-    report = fly(settings, trial, log, lambda _status: None, fast=True).report
+    report = fly(settings_of(trial), trial, log, lambda _status: None, fast=True).report
     return Stream(
         scenario=trial.scenario.name,
         seed=trial.seed,
@@ -157,7 +122,6 @@ def fly_stream(trial: Trial, config: CompanionConfig | None = None) -> Stream:
         outcome=report.outcome.value,
         failures=report.failures,
         touchdown=report.touchdown,
-        notices=tuple((notice.time_s, notice.text) for notice in log.kept["notice"]),
     )
 
 
@@ -175,6 +139,11 @@ def _phases(plans: Sequence[PlanStep]) -> tuple[tuple[float, str], ...]:
 
 
 # ---------------------------------------------------------------- files
+
+
+def stream_path(folder: Path, scenario: str, seed: int) -> Path:
+    """Where a stream is kept."""
+    return folder / f"{scenario}_{seed}.pickle"
 
 
 def save(stream: Stream, path: Path) -> None:
@@ -213,13 +182,11 @@ def new_estimator(config: CompanionConfig) -> StateEstimator:
     return StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
 
 
-def rerun(stream: Stream, config: CompanionConfig | None = None, rate_hz: float = 10.0) -> Samples:
+def rerun(stream: Stream, config: CompanionConfig | None = None) -> Samples:
     """Run a new estimator over the stream and compare it with the truth.
 
-    Args:
-        stream: as flown, or edited.
-        config: settings of the app; None: those shipped, under the stream's scenario.
-        rate_hz: of the samples, which fall on the control cycles that flew.
+    `config`: settings of the app; None: those shipped, under the stream's scenario. The samples fall on the
+    control cycles that flew.
     """
     estimator = new_estimator(config or settings_of(Trial.load(stream.scenario, stream.seed)))
     answers: list[EstimatorAnswer] = []
@@ -228,7 +195,7 @@ def rerun(stream: Stream, config: CompanionConfig | None = None, rate_hz: float 
         if event.topic in INPUTS:
             feed(estimator, event)
         elif event.topic == "vehicle" and event.arrival_s >= next_s - 1e-6:
-            next_s = max(next_s + 1.0 / rate_hz, event.arrival_s)
+            next_s = max(next_s + SAMPLES_S, event.arrival_s)
             answer = ask(estimator, event.arrival_s)
             answers += [] if answer is None else [answer]
     return samples_of(answers, stream.truth, stream.airborne_s)
@@ -245,41 +212,3 @@ def feed(estimator: StateEstimator, event: StreamEvent) -> None:
         "sighting": estimator.add_sighting,
     }
     take[event.topic](event.message)
-
-
-# ---------------------------------------------------------------- command line
-
-
-def stream_path(folder: Path, scenario: str, seed: int) -> Path:
-    """Where a stream is kept."""
-    return folder / f"{scenario}_{seed}.pickle"
-
-
-def _make(scenario: str, seed: int, folder: Path) -> str:
-    path = stream_path(folder, scenario, seed)
-    if not path.exists():
-        save(fly_stream(Trial.load(scenario, seed)), path)
-    return str(path)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point: fly what the folder does not hold yet."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--scenarios", nargs="+", default=["figure_8"])
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--folder", type=Path, required=True)
-    chosen = parser.parse_args(arguments)
-    with ProcessPoolExecutor(chosen.jobs) as pool:
-        waiting = [
-            pool.submit(_make, scenario, seed, chosen.folder)
-            for scenario in chosen.scenarios
-            for seed in range(chosen.seeds)
-        ]
-        for future in waiting:
-            print(future.result(), flush=True)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -45,7 +45,6 @@ class JudgedShot:
 
     seen: bool
     whole_frame: bool
-    in_view: bool = True
     error_m: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     covariance_m2: FloatArray = field(default_factory=lambda: np.full((3, 3), np.nan))
     turn_error_rad: float = math.nan

@@ -46,11 +46,10 @@ class SweepCase:
 
 @dataclass(frozen=True)
 class SweepOutcome:
-    """How many frames the peer read, at how many heights, and the holes: (height, with a prior?)."""
+    """How many frames the peer read, and the holes: (height, with a prior?)."""
 
     case: SweepCase
     read: int
-    heights: int
     holes: tuple[tuple[float, bool], ...]
 
 
@@ -72,11 +71,9 @@ def sweep(case: SweepCase, shots: int) -> SweepOutcome:
     camera = load_model(CameraConfig, find_file("cameras", case.camera))
     stage = PadBeforeCamera(camera, load_pad(case.pad), rng, instants=3)
     peer = Peer(stage.pad, stage.camera)
-    read = heights = 0
-    holes = []
+    read, holes = 0, []
     height_m = LOWEST_M
     while height_m < MOST_SIDES * max(marker.side_m for marker in stage.pad.markers):
-        heights += 1
         for _ in range(shots):
             tilt = float(rng.uniform(0.0, MOST_TILT_RAD)) if case.view == "tilted" else None
             scene = stage.scene(height_m, tilt)
@@ -90,7 +87,7 @@ def sweep(case: SweepCase, shots: int) -> SweepOutcome:
                 (height_m, told is prior) for told in (prior, nothing) if not _found(stage, frame, told)
             ]
         height_m *= STEP
-    return SweepOutcome(case, read, heights, tuple(holes))
+    return SweepOutcome(case, read, tuple(holes))
 
 
 def _found(stage: PadBeforeCamera, frame: Frame, prior: PadPrior) -> bool:

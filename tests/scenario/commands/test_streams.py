@@ -5,20 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.state.samples import rms
 from benchmarks.state.streams import (
     INPUTS,
     Stream,
-    StreamEvent,
     feed,
     fly_stream,
     load,
     new_estimator,
     rerun,
-    rms,
     save,
     settings_of,
 )
-from companion.base.messages import PadSighting
 from companion.sim.trial import Trial
 from sitl.faults.faults import FrameLate, FrameLost, RangeSpikes
 from tests.scenario.flying import FEW_PICTURES
@@ -76,10 +74,3 @@ def test_samples_are_in_the_air_and_carry_covariances_of_their_size(stream: Stre
     seen = air.where(air.seen_for_s > 2.0)
     assert len(seen.time_s) > 50
     assert np.linalg.eigvalsh(seen.pad_covariance).min() > -1e-12
-
-
-def test_an_edit_puts_a_fault_in_offline(stream: Stream) -> None:
-    def blind(event: StreamEvent) -> StreamEvent | None:
-        return None if isinstance(event.message, PadSighting) else event
-
-    assert not np.isfinite(rerun(stream.edited(blind)).pad_position_m).any()
