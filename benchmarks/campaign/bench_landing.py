@@ -84,16 +84,21 @@ def landed_share(name: str, rows: Sequence[Row], least: float) -> Bar:
     return Bar(name, f"{hits} of {len(rows)} (>= {100 * least:g} %)", hits >= least * len(rows) > 0)
 
 
+def lateral_bars(name: str, rows: Sequence[Row], landed: float, p95_cm: float) -> list[Bar]:
+    """Bars of drawn landings: so large a share lands, near the pad's centre."""
+    lateral_cm = [100.0 * _percentile(rows, "touchdown_lateral_m", percent) for percent in (50, 95)]
+    return [
+        landed_share(f"{name} landed", rows, landed),
+        unplanned_bar(name, rows),
+        at_most(f"{name} lateral p50", lateral_cm[0], 3.0, "cm", 2),
+        at_most(f"{name} lateral p95", lateral_cm[1], p95_cm, "cm", 2),
+    ]
+
+
 def random_bars(rows: Sequence[Row]) -> list[Bar]:
     """Bars of the random landings."""
-    lateral = "touchdown_lateral_m"
-    return [
-        landed_share("random landed", rows, 0.99),
-        unplanned_bar("random", rows),
-        at_most("lateral p50", 100.0 * _percentile(rows, lateral, 50), 3.0, "cm", 2),
-        at_most("lateral p95", 100.0 * _percentile(rows, lateral, 95), 8.0, "cm", 2),
-        at_most("vertical p50", _percentile(rows, "vertical_speed_m_s", 50), 0.2, "m/s", 2),
-    ]
+    vertical_m_s = _percentile(rows, "vertical_speed_m_s", 50)
+    return [*lateral_bars("random", rows, 0.99, 8.0), at_most("vertical p50", vertical_m_s, 0.2, "m/s", 2)]
 
 
 def unplanned_bar(name: str, rows: Sequence[Row]) -> Bar:
@@ -104,13 +109,7 @@ def unplanned_bar(name: str, rows: Sequence[Row]) -> Bar:
 
 def as_built_bars(rows: Sequence[Row]) -> list[Bar]:
     """Bars of the landings as built."""
-    lateral = "touchdown_lateral_m"
-    return [
-        landed_share("as built landed", rows, 0.97),
-        unplanned_bar("as built", rows),
-        at_most("as built lateral p50", 100.0 * _percentile(rows, lateral, 50), 3.0, "cm", 2),
-        at_most("as built lateral p95", 100.0 * _percentile(rows, lateral, 95), 10.0, "cm", 2),
-    ]
+    return lateral_bars("as built", rows, 0.97, 10.0)
 
 
 def peer_bars(name: str, rows: Sequence[Row]) -> list[Bar]:

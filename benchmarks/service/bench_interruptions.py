@@ -47,8 +47,6 @@ COMES_WITHIN_S: Final = 90.0
 # the simulation fell behind the clock so far: the machine was too busy, and nothing is shown
 LATE_S: Final = 1.0
 
-Found = tuple[float, list[str]]  # when (s, monotonic) the service was interrupted, and what was unsafe
-
 
 class NotFlown(Exception):  # noqa: N818 - it reads as what happened
     """The bench could not fly a trial, which judges nothing."""
@@ -132,7 +130,10 @@ def fly_trial(kind: Kind, seed: int, code: str) -> InterruptedTrial:
         time.sleep(wanted.delay_s)
         phase = on.ask({"request": "status"})["phase"]
         interrupts = {"kill": _kill, "stop": _stop, "term": _term}[kind]
-        interrupted_s, found = interrupts(on, ordered_unix_s, phase)
+        interrupted_unix_s, interrupted_s = time.time(), time.monotonic()
+        found = interrupts(on, interrupted_s, standby=phase == "standby")
+        if phase != "standby":
+            found += judging.log_missing(on.folder / "flights", ordered_unix_s, interrupted_unix_s)
         flown = judging.ours(on.witness.seen.at(interrupted_s))
         left_s = judging.left_after_s(on.witness.seen, interrupted_s) if flown else None
         told = read_report(on.finish())
@@ -153,46 +154,33 @@ def _wait_for(on: Stage, phase: str) -> None:
         time.sleep(LOOK_S)
 
 
-def _kill(on: Stage, ordered_unix_s: float, phase: str) -> Found:
+def _kill(on: Stage, killed_s: float, *, standby: bool) -> list[str]:
     """kill -9, and the start that follows as systemd has it."""
     assert on.service is not None
-    killed_unix_s, killed_s = time.time(), time.monotonic()
     on.service.kill()
     on.service.wait()
     time.sleep(RESTART_S)
     on.start_service()
     time.sleep(WATCHED_S)
-    found = judging.killed(on.witness.seen, killed_s)
-    if phase != "standby":
-        found += judging.log_missing(on.folder / "flights", ordered_unix_s, killed_unix_s)
-    return killed_s, found
+    return judging.killed(on.witness.seen, killed_s)
 
 
-def _stop(on: Stage, ordered_unix_s: float, phase: str) -> Found:
+def _stop(on: Stage, stopped_s: float, *, standby: bool) -> list[str]:
     """SIGSTOP for 5 s: what it orders then may not be against the mode that holds."""
     assert on.service is not None
-    stopped_unix_s, stopped_s = time.time(), time.monotonic()
     on.service.send_signal(signal.SIGSTOP)
     time.sleep(STOPPED_S)
     resumed_s = time.monotonic()
     on.service.send_signal(signal.SIGCONT)
     time.sleep(WATCHED_S)
-    found = judging.stopped(on.witness.seen, stopped_s, resumed_s)
-    if phase != "standby":
-        found += judging.log_missing(on.folder / "flights", ordered_unix_s, stopped_unix_s)
-    return stopped_s, found
+    return judging.stopped(on.witness.seen, stopped_s, resumed_s)
 
 
-def _term(on: Stage, ordered_unix_s: float, phase: str) -> Found:
+def _term(on: Stage, asked_s: float, *, standby: bool) -> list[str]:
     """SIGTERM: it hands back and ends."""
     assert on.service is not None
-    asked_unix_s, asked_s = time.time(), time.monotonic()
     on.service.send_signal(signal.SIGTERM)
     code = on.service.wait(timeout=2.0 * judging.ENDS_WITHIN_S)
     ended_s = time.monotonic()
     time.sleep(ENDED_WATCHED_S)
-    standby = phase == "standby"
-    found = judging.terminated(on.witness.seen, asked_s, ended_s, code, standby=standby)
-    if not standby:
-        found += judging.log_missing(on.folder / "flights", ordered_unix_s, asked_unix_s)
-    return asked_s, found
+    return judging.terminated(on.witness.seen, asked_s, ended_s, code, standby=standby)

@@ -16,10 +16,8 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import gc
 import json
 import os
-import resource
 import sys
 import tempfile
 import threading
@@ -33,7 +31,7 @@ from typing import Final
 import numpy as np
 from mcap.reader import make_reader
 
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, resident_mb
 from benchmarks.service.running import NEAR, Stage, stage
 from companion.base.messages import Phase
 from sitl.campaign.tables import Bar, at_most
@@ -198,13 +196,12 @@ class HeldMemory:
     @classmethod
     def now(cls) -> HeldMemory:
         """Count; what is garbage is none."""
-        gc.collect()
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        memory_mb = resident_mb()
         return cls(
             tasks=len(asyncio.all_tasks()),
             threads=threading.active_count(),
             files=sum(1 for _ in Path("/proc/self/fd").iterdir()),
-            memory_mb=pages * resource.getpagesize() / 1e6,
+            memory_mb=memory_mb,
         )
 
     def more_than(self, first: HeldMemory) -> int:

@@ -34,80 +34,48 @@ NEAR: Final[dict[str, Any]] = {}
 
 @dataclass(frozen=True)
 class FlightFault:
-    """One fault on one kind of flight.
-
-    `judged_from_s` is when the recovery's time starts to count: the fault's end, or its start when it stays.
-    """
+    """One fault on one kind of flight; `pad`: whether the pad's errors are what it is about."""
 
     name: str
     changes: dict[str, Any]
     fault: dict[str, Any] | None
-    judged_from_s: float = 0.0
-    pad: bool = False  # whether the pad's errors are what it is about
+    pad: bool = False
 
     @property
     def slug(self) -> str:
         """The name as a file's."""
         return "fault_" + "_".join(re.findall(r"[a-z0-9]+", self.name.lower()))
 
+    @property
+    def judged_from_s(self) -> float:
+        """When the recovery's time starts to count: the fault's end, or its start when it stays."""
+        fault = self.fault or {"start_s": 0.0}
+        judged_s: float = fault["start_s"] + fault.get("duration_s", 0.0)
+        return judged_s
+
+
+def _far(name: str, kind: str, start_s: float = 16.0, **settings: Any) -> FlightFault:
+    """On the way to the waypoint."""
+    return FlightFault(name, FAR, {"kind": kind, "start_s": start_s, **settings})
+
+
+def _near(name: str, kind: str, **settings: Any) -> FlightFault:
+    """On the descent."""
+    return FlightFault(name, NEAR, {"kind": kind, "start_s": 16.0, **settings}, pad=True)
+
 
 CASES: Final = (
     FlightFault("none, far", FAR, None),
-    FlightFault(
-        "GPS gone for 30 s",
-        FAR,
-        {"kind": "gps_lost", "start_s": 12.0, "duration_s": 30.0},
-        judged_from_s=42.0,
-    ),
-    FlightFault(
-        "30 µT for 5 s",
-        FAR,
-        {"kind": "mag_disturbed", "start_s": 16.0, "duration_s": 5.0, "field_body_ut": [0.0, 30.0, 0.0]},
-        judged_from_s=21.0,
-    ),
-    FlightFault(
-        "gyro bias step of 2 °/s", FAR, {"kind": "gyro_bias_step", "start_s": 16.0}, judged_from_s=16.0
-    ),
-    FlightFault(
-        "accelerometer clips for 5 s",
-        FAR,
-        {"kind": "accel_clips", "start_s": 16.0, "duration_s": 5.0},
-        judged_from_s=21.0,
-    ),
-    FlightFault(
-        "4 x vibration for 3 s",
-        FAR,
-        {"kind": "vibration", "start_s": 16.0, "duration_s": 3.0, "factor": 4.0},
-        judged_from_s=19.0,
-    ),
-    FlightFault(
-        "10 x vibration for 3 s",
-        FAR,
-        {"kind": "vibration", "start_s": 16.0, "duration_s": 3.0, "factor": 10.0},
-        judged_from_s=19.0,
-    ),
+    _far("GPS gone for 30 s", "gps_lost", 12.0, duration_s=30.0),
+    _far("30 µT for 5 s", "mag_disturbed", duration_s=5.0, field_body_ut=[0.0, 30.0, 0.0]),
+    _far("gyro bias step of 2 °/s", "gyro_bias_step"),
+    _far("accelerometer clips for 5 s", "accel_clips", duration_s=5.0),
+    _far("4 x vibration for 3 s", "vibration", duration_s=3.0, factor=4.0),
+    _far("10 x vibration for 3 s", "vibration", duration_s=3.0, factor=10.0),
     FlightFault("none, near", NEAR, None, pad=True),
-    FlightFault(
-        "10 x vibration for 3 s, near",
-        NEAR,
-        {"kind": "vibration", "start_s": 16.0, "duration_s": 3.0, "factor": 10.0},
-        judged_from_s=19.0,
-        pad=True,
-    ),
-    FlightFault(
-        "range spikes, 30 % of the echoes",
-        NEAR,
-        {"kind": "range_spikes", "start_s": 16.0, "share": 0.3},
-        judged_from_s=16.0,
-        pad=True,
-    ),
-    FlightFault(
-        "every 10th frame 250 ms late",
-        NEAR,
-        {"kind": "frame_late", "start_s": 16.0, "duration_s": 5.0},
-        judged_from_s=21.0,
-        pad=True,
-    ),
+    _near("10 x vibration for 3 s, near", "vibration", duration_s=3.0, factor=10.0),
+    _near("range spikes, 30 % of the echoes", "range_spikes", share=0.3),
+    _near("every 10th frame 250 ms late", "frame_late", duration_s=5.0),
 )
 
 

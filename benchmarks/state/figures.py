@@ -106,21 +106,18 @@ def pooled(parts: Sequence[Samples], value: Callable[[Samples], FloatArray]) -> 
 def consistencies(flights: Sequence[FlightErrors]) -> dict[str, Consistency]:
     """The NEES of both filters, whole and in parts."""
     air, seen = [flight.air for flight in flights], [flight.seen for flight in flights]
-    result = {}
-    for name, first, last in (
-        ("EKF: rotation", 0, 3),
-        ("EKF: velocity", 3, 6),
-        ("EKF: rotation, velocity", 0, 6),
-        ("EKF: rotation, velocity, position", 0, 9),
-    ):
-        result[name] = consistency(last - first, [_vehicle_nees(part, first, last) for part in air])
-    for name, first, last in (
-        ("pad: relative position", 0, 3),
-        ("pad: relative velocity", 3, 6),
-        ("pad: relative position, velocity", 0, 6),
-    ):
-        result[name] = consistency(last - first, [_pad_nees(part, first, last) for part in seen])
-    return result
+    return {
+        name: consistency(last - first, [nees_of(part, first, last) for part in parts])
+        for name, nees_of, parts, first, last in (
+            ("EKF: rotation", _vehicle_nees, air, 0, 3),
+            ("EKF: velocity", _vehicle_nees, air, 3, 6),
+            ("EKF: rotation, velocity", _vehicle_nees, air, 0, 6),
+            ("EKF: rotation, velocity, position", _vehicle_nees, air, 0, 9),
+            ("pad: relative position", _pad_nees, seen, 0, 3),
+            ("pad: relative velocity", _pad_nees, seen, 3, 6),
+            ("pad: relative position, velocity", _pad_nees, seen, 0, 6),
+        )
+    }
 
 
 def _vehicle_nees(s: Samples, first: int, last: int) -> tuple[FloatArray, FloatArray]:

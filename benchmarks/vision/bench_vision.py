@@ -29,10 +29,9 @@ from typing import Final
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.table import Table
 
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, watched
 from benchmarks.vision.cases import SEED, SHOTS_OF_A_BOARD, CaseOutcome, VisionCase, false_pads, run_chunk
 from benchmarks.vision.families import FAMILIES, FamilyRun, family_table, run_family
 from benchmarks.vision.photos import (
@@ -133,22 +132,10 @@ def work_of(parts: Sequence[str], amount: Amount) -> list[Work]:
     return works
 
 
-def run(works: Sequence[Work], jobs: int, report: BenchReport) -> Iterator[tuple[Work, CaseOutcome | int]]:
+def run(works: Sequence[Work], jobs: int) -> Iterator[tuple[Work, CaseOutcome | int]]:
     """Results, in the order of the work: the same however many processes share it."""
-    columns = (
-        "[progress.description]{task.description}",
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    found: dict[Work, CaseOutcome | int] = {}
-    with Progress(*columns, console=report, transient=True) as progress:
-        task = progress.add_task("rendering and looking", total=len(works))
-        for work, result in _results(works, jobs):
-            found[work] = result
-            progress.advance(task)
-    for work in works:
-        yield work, found[work]
+    found = dict(watched(_results(works, jobs), "rendering and looking", len(works)))
+    yield from ((work, found[work]) for work in works)
 
 
 def _results(works: Sequence[Work], jobs: int) -> Iterator[tuple[Work, CaseOutcome | int]]:
@@ -173,64 +160,46 @@ def joined(results: Iterable[tuple[Work, CaseOutcome | int]]) -> tuple[Outcomes,
     return outcomes, false, clutter
 
 
-def timed(frames: int, report: BenchReport) -> list[Times]:
+def timed(frames: int) -> list[Times]:
     """Both cameras at every height; nothing else of the bench runs meanwhile."""
     cv2.setNumThreads(1)
     wanted = [(size, height_m) for size in FASTER for height_m in HEIGHTS_M]
-    with Progress(console=report, transient=True) as progress:
-        return [measure(*each, frames) for each in progress.track(wanted, description="timing")]
+    return [measure(*each, frames) for each in watched(wanted, "timing")]
 
 
-def by_family(hovers: int, report: BenchReport) -> list[FamilyRun]:
+def by_family(hovers: int) -> list[FamilyRun]:
     """Every family; nothing else of the bench runs meanwhile."""
-    with Progress(console=report, transient=True) as progress:
-        return [run_family(each, hovers) for each in progress.track(FAMILIES, description="by family")]
+    return [run_family(each, hovers) for each in watched(FAMILIES, "by family")]
 
 
-def swept(shots: int, jobs: int, report: BenchReport) -> list[SweepOutcome]:
+def swept(shots: int, jobs: int) -> list[SweepOutcome]:
     """Every pad before every camera."""
     cv2.setNumThreads(1)
-    with (
-        Progress(console=report, transient=True) as progress,
-        ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
-    ):
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         each = pool.map(sweep, cases(), itertools.repeat(shots))
-        return list(progress.track(each, total=len(cases()), description="sweeping"))
+        return list(watched(each, "sweeping", len(cases())))
 
 
-def measured(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None, report: BenchReport) -> Bars:
-    """Run what is asked for, and print it."""
-    outcomes, false, clutter = joined(run(work_of(parts, amount), jobs, report))
-    bars: Bars = {}
+def measured(
+    parts: Sequence[str], amount: Amount, jobs: int, data: Path | None
+) -> Iterator[tuple[Table | str, Bars]]:
+    """Run what is asked for: each table, or line, with its bars."""
+    outcomes, false, clutter = joined(run(work_of(parts, amount), jobs))
     if "tables" in parts:
         plain = {case: outcome for case, outcome in outcomes.items() if not case.tilted}
         for tables, held in (recall_tables(plain), error_tables(plain)):
-            bars |= held
-            for grid in tables:
-                report.show(grid)
+            yield from ((grid, held) for grid in tables)
     if "clutter" in parts:
-        report.show(f"false pads in {clutter} frames of clutter: {false} (0)")
-        bars["clutter"] = false == 0
+        yield f"false pads in {clutter} frames of clutter: {false} (0)", {"clutter": false == 0}
     if "flips" in parts:
-        grid, held = flips_table({case: outcome for case, outcome in outcomes.items() if case.tilted})
-        report.show(grid)
-        bars |= held
+        yield flips_table({case: outcome for case, outcome in outcomes.items() if case.tilted})
     if "speed" in parts:
-        grid, held = speed_table(timed(amount.timed, report))
-        report.show(grid)
-        bars |= held
+        yield speed_table(timed(amount.timed))
     if "families" in parts:
-        grid, held = family_table(by_family(amount.families, report))
-        report.show(grid)
-        bars |= held
+        yield family_table(by_family(amount.families))
     if "sweep" in parts:
-        grid, held = sweep_table(swept(amount.sweep, jobs, report))
-        report.show(grid)
-        bars |= held
-    for grid, held in from_data(parts, data):
-        report.show(grid)
-        bars |= held
-    return bars
+        yield sweep_table(swept(amount.sweep, jobs))
+    yield from from_data(parts, data)
 
 
 def from_data(parts: Sequence[str], data: Path | None) -> Iterator[tuple[Table, Bars]]:
@@ -268,4 +237,8 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     if chosen.pictures is not None:
         contact_sheet(chosen.pictures / "vision_frames.png")
     report.show(f"seed {SEED}, {PAPER_SIZE} f = 1065 px and 640x480, {chosen.jobs} jobs")
-    return report.judge(measured(chosen.only, amount, chosen.jobs, chosen.data, report))
+    bars: Bars = {}
+    for shown, held in measured(chosen.only, amount, chosen.jobs, chosen.data):
+        report.show(shown)
+        bars |= held
+    return report.judge(bars)
