@@ -71,8 +71,8 @@ def _refused(phases: tuple[PhaseName, ...], *what: str) -> FaultRowCase:
     return FaultRowCase(tuple({"kind": "autopilot_refuses", "what": one} for one in what), phases)
 
 
-def _from_start(*, lands: bool = False, **changes: Any) -> FaultRowCase:
-    return FaultRowCase((), ("start",), lands, changes)
+def _from_start(**changes: Any) -> FaultRowCase:
+    return FaultRowCase((), ("start",), changes=changes)
 
 
 def _timed_out(after_s: float, lost_s: float | None = None) -> FaultRowCase:

@@ -76,15 +76,15 @@ class Stage:
         """One answer of the service's."""
         return ask(self.folder / "run" / "companion.sock", request)
 
-    def wait_until(self, phase: str | None, *, healthy: bool = False, most_s: float = PATIENCE_S) -> None:
+    def wait_until(self, phase: str | None, *, healthy: bool = False) -> None:
         """Wait for a phase, or for a service without problems."""
-        by_s = time.monotonic() + most_s
+        by_s = time.monotonic() + PATIENCE_S
         while True:
             report = self.ask({"request": "status"})
             if (phase is None or report["phase"] == phase) and not (healthy and report["problems"]):
                 return
             if time.monotonic() > by_s:
-                raise RuntimeError(f"not {phase or 'healthy'} within {most_s:g} s: {report['problems']}")
+                raise RuntimeError(f"not {phase or 'healthy'} within {PATIENCE_S:g} s: {report['problems']}")
             time.sleep(0.2)
 
     def end_service(self) -> int:

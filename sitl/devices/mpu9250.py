@@ -330,23 +330,15 @@ _FUSE_ROM: Final = 0x0F
 _PERIOD_S: Final = {0x02: 1.0 / 8.0, 0x06: 1.0 / 100.0}
 _MEASUREMENT_S: Final = 0.0072
 _FULL_SCALE_UT: Final = 4912.0
+_ADJUSTMENT: Final = (176, 178, 165)  # the fuse ROM's three bytes
+_PER_UT: Final = [1.0 / (0.15 * ((value - 128) * 0.5 / 128.0 + 1.0)) for value in _ADJUSTMENT]
 
 
 class Ak8963Device:
-    """The magnetometer's registers. `adjustment` are the fuse ROM's three bytes.
+    """The magnetometer's registers. `silent` is a failed one: it acknowledges nothing."""
 
-    `silent` is a failed one: it acknowledges nothing.
-    """
-
-    def __init__(
-        self,
-        sensor: MagSensor,
-        adjustment: tuple[int, int, int] = (176, 178, 165),
-        clock_error: float = -0.004,
-    ) -> None:
+    def __init__(self, sensor: MagSensor, clock_error: float = -0.004) -> None:
         self._sensor = sensor
-        self._adjustment = adjustment
-        self._per_ut = [1.0 / (0.15 * ((value - 128) * 0.5 / 128.0 + 1.0)) for value in adjustment]
         self._clock = 1.0 + clock_error
         self.silent = False
         self.reset()
@@ -394,7 +386,7 @@ class Ak8963Device:
             period_s = _PERIOD_S.get(mode)
             self._period_s = None if period_s is None else period_s * self._clock
             self._middle_s = self._measured = None
-            fuses = bytes(self._adjustment) if mode == _FUSE_ROM else bytes(3)
+            fuses = bytes(_ADJUSTMENT) if mode == _FUSE_ROM else bytes(3)
             self._registers[_ASAX : _ASAX + 3] = fuses
 
     def _latch(self, field: Vector3) -> None:
@@ -402,7 +394,7 @@ class Ak8963Device:
         sixteen_bits = self._registers[_CNTL1] & 0x10
         step = 1.0 if sixteen_bits else 0.25
         limit = 32760 if sixteen_bits else 8190
-        counts = [value * k * step for value, k in zip((y, x, -z), self._per_ut, strict=True)]
+        counts = [value * k * step for value, k in zip((y, x, -z), _PER_UT, strict=True)]
         raw = [max(-limit, min(limit, round(count))) for count in counts]
         struct.pack_into("<hhh", self._registers, _HXL, *raw)
         overflow = 0x08 if abs(x) + abs(y) + abs(z) >= _FULL_SCALE_UT else 0x00

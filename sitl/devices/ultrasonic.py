@@ -12,6 +12,7 @@ from sitl.sensors.sensors import RangeSensor
 SPEED_OF_SOUND_M_S: Final = 340.0
 _NO_ECHO_S: Final = 0.03  # how long it listens
 _ASK_DISTANCE, _ASK_TEMPERATURE = 0x55, 0x50
+_TEMPERATURE_C = 20
 
 
 class UltrasonicDevice:
@@ -52,9 +53,8 @@ class UltrasonicDevice:
 class PolledUltrasonicDevice:
     """US-100 in serial mode. `silent` is an unplugged sensor."""
 
-    def __init__(self, sensor: RangeSensor, temperature_c: float = 20.0) -> None:
+    def __init__(self, sensor: RangeSensor) -> None:
         self._sensor = sensor
-        self._temperature_c = temperature_c
         self._asked = b""
         self._answer = b""
         self._answer_s = 0.0
@@ -78,7 +78,7 @@ class PolledUltrasonicDevice:
                 self._answer = millimetres(distance_m)
                 self._answer_s = now_s + _echo_s(distance_m)
             elif command == _ASK_TEMPERATURE:
-                self._answer, self._answer_s = bytes((round(self._temperature_c) + 45,)), now_s
+                self._answer, self._answer_s = bytes((_TEMPERATURE_C + 45,)), now_s
         self._asked = b""
         if not self._answer or now_s < self._answer_s:
             return b""

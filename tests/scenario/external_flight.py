@@ -9,13 +9,13 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from companion.app.app import App
 from companion.app.hardware import Hardware, make_own_actions
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import run_in_virtual_time
-from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
+from companion.config import CONFIG_FOLDER
 from companion.flightlog.record import FlightLog
 from companion.flightlog.result import Result
 from companion.link.transport import MemoryTransport, memory_pair
@@ -36,14 +36,10 @@ _FOUND_TIMEOUT_S: Final = 20.0
 
 @dataclass
 class ExternalFlight:
-    """A flight that has ended: its result, what the app told, and how often it climbed away from the pad."""
+    """A flight that has ended: its result, and what the app told."""
 
     result: Result
     told: list[str]
-
-    def times_told(self, words: str) -> int:
-        """How many notices hold these words."""
-        return sum(words in text for text in self.told)
 
     def __str__(self) -> str:
         return "\n".join([str(self.result.outcome), str(self.result.touchdown), *self.told])
@@ -67,21 +63,18 @@ def vehicles_world(kind: AutopilotKind) -> Scenario:
     return static.model_copy(update={"autopilot": kind, "pad": pad, "wind": static.wind})
 
 
-def fly_external(
-    scenario: str, seed: int, kind: AutopilotKind, config: dict[str, Any] | None = None
-) -> ExternalFlight:
-    """Fly a scenario's pad around a vehicle of that make; `config` are settings of the app to change."""
-    return run_in_virtual_time(_fly(scenario, seed, kind, config or {}))
+def fly_external(scenario: str, seed: int, kind: AutopilotKind) -> ExternalFlight:
+    """Fly a scenario's pad around a vehicle of that make."""
+    return run_in_virtual_time(_fly(scenario, seed, kind))
 
 
-async def _fly(name: str, seed: int, kind: AutopilotKind, changes: dict[str, Any]) -> ExternalFlight:
+async def _fly(name: str, seed: int, kind: AutopilotKind) -> ExternalFlight:
     trial = Trial.load(name, seed, external=External(SPEC, SPEC))
     settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     log = FlightLog(None, start_unix_s=0.0)
     async with _world(trial, kind) as (world, app_end, frames, range_port):
-        wired = validate(CompanionConfig, merge(settings.model_dump(), changes), "the flight")
         hardware = Hardware(app_end, frames, imu_bus=None, gps_port=None, range_port=range_port.app)
-        app = App(wired, hardware, log, make_own_actions, lambda _status: None)
+        app = App(settings, hardware, log, make_own_actions, lambda _status: None)
         async with beside(app.run()) as (flight,):
             await asyncio.wait([flight], timeout=trial.time_limit_s)
             phase = flight.result() if flight.done() else app.phase

@@ -59,8 +59,8 @@ class Px4Gains:
 class Px4Control(PositionControl):
     """The cascade of PX4's multicopter position controller."""
 
-    def __init__(self, hover_thrust: float, gains: Px4Gains | None = None) -> None:
-        self._gains = gains or Px4Gains()
+    def __init__(self, hover_thrust: float) -> None:
+        self._gains = Px4Gains()
         super().__init__(hover_thrust, self._gains.limits)
 
     def _forget(self, velocity: Vector3) -> None:

@@ -17,4 +17,4 @@ def test_a_landing_on_a_moving_pad_is_not_thrown_away_at_the_contact(
     assert flight.result.outcome is Outcome.LANDED, flight
     assert flight.result.touchdown is not None
     assert flight.result.touchdown.lateral_error_m <= 0.06, flight
-    assert flight.times_told(TRIES_AGAIN) == 0, flight
+    assert not any(TRIES_AGAIN in text for text in flight.told), flight

@@ -22,7 +22,7 @@ from companion.sim.trial import Trial
 from sitl.firmware import px4, vehicle
 from sitl.run.server import Service, _kept_free
 from tests.programs import ProgramHere
-from tests.scenario.flying import COMMAND, ROOT, alive, children, environment, started
+from tests.scenario.flying import COMMAND, ROOT, alive, children, environment, started, wait_for_line
 from tests.scenario.real_time.quiet_machine import beside_lateness
 from tests.unit.sitl.campaign.campaign_parts import scenario_file
 from tests.unit.sitl.external.external_vehicle import ARDUPILOT, MessageSender, heartbeat
@@ -190,9 +190,7 @@ def test_a_simulator_that_serves_ends_with_ctrl_c_and_leaves_nothing(tmp_path: P
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
-        assert process.stdout is not None
-        while not (line := process.stdout.readline()).startswith("Ctrl-C"):
-            assert line
+        wait_for_line(process, "Ctrl-C")
         assert len(children(process.pid)) == 2  # the firmware, and what waits for our end
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=20.0)

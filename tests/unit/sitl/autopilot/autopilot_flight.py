@@ -49,14 +49,12 @@ def frame_450(**other: Any) -> QuadrotorParameters:
 class SimpleVehicle:
     """Stands on a floor until it flies; `floor_velocity_ned_m_s` lets the floor move like a pad."""
 
-    def __init__(
-        self, airframe: QuadrotorParameters, heading_rad: float = 0.0, floor_z_m: float = -0.18
-    ) -> None:
+    def __init__(self, airframe: QuadrotorParameters, heading_rad: float = 0.0) -> None:
         self.airframe = airframe
         self.wind_ned_m_s: Vector3 = ZERO3
         self.floor_velocity_ned_m_s: Vector3 = ZERO3
-        self.floor_z_m = floor_z_m
-        self.position: Vector3 = (0.0, 0.0, floor_z_m)
+        self.floor_z_m = -0.18
+        self.position: Vector3 = (0.0, 0.0, self.floor_z_m)
         self.velocity: Vector3 = ZERO3
         self.attitude: Quaternion = (math.cos(heading_rad / 2), 0.0, 0.0, math.sin(heading_rad / 2))
         self.rate: Vector3 = ZERO3

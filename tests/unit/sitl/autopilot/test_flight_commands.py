@@ -84,9 +84,9 @@ def test_arming_takes_0_and_1_alone_and_no_mode_that_lands(station: Station) -> 
     assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == ACCEPTED
 
 
-def reposition(frame: int, north_m: float, altitude_m: float, speed: float = -1.0) -> Any:
+def reposition(frame: int, north_m: float, altitude_m: float) -> Any:
     return mavlink.MAVLink_command_int_message(
-        1, 1, frame, mavlink.MAV_CMD_DO_REPOSITION, 0, 0, speed, 1, 0, math.nan,
+        1, 1, frame, mavlink.MAV_CMD_DO_REPOSITION, 0, 0, -1.0, 1, 0, math.nan,
         round((HOME[0] + north_m / 111_170.0) * 1e7), round(HOME[1] * 1e7), altitude_m,
     )  # fmt: skip
 

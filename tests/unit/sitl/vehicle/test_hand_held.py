@@ -287,12 +287,10 @@ def test_forces_and_rates_are_those_of_the_motion(motion: HandMotion) -> None:
     assert largest < 0.2, "the force jumps"
 
 
-def poses(
-    motion: HandMotion, seed: int, length_s: float, every_s: float = 0.05
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Position over the pad (m) and rotation (3, 3), again and again."""
+def poses(motion: HandMotion, seed: int, length_s: float) -> list[tuple[FloatArray, FloatArray]]:
+    """Position over the pad (m) and rotation (3, 3), every 50 ms."""
     world = HandHeldWorld(STATIC, seed, motion)
-    steps, found = round(every_s / STEP_S), []
+    steps, found = round(0.05 / STEP_S), []
     for k in range(round(length_s / STEP_S)):
         world.step(STOPPED, STEP_S)
         if k % steps == 0:

@@ -102,9 +102,9 @@ class Fall:
         return (forward, right, -down), (v[0] - u[0], v[1] - u[1], v[2] - u[2])
 
 
-def above(pad: Pad, x: float = 0.0, y: float = 0.0, gap: float = 0.0, **values: object) -> QuadrotorState:
+def above(pad: Pad, x: float = 0.0, gap: float = 0.0, **values: object) -> QuadrotorState:
     n, e, d = pad(0.0).position_ned_m
-    return QuadrotorState((n + x, e + y, d - STAND - gap), **values)  # type: ignore[arg-type]
+    return QuadrotorState((n + x, e, d - STAND - gap), **values)  # type: ignore[arg-type]
 
 
 def on_ground(height: float = STAND, **values: object) -> QuadrotorState:

@@ -17,10 +17,10 @@ NOTCHED: Final = ((-20.0, -20.0), (20.0, -20.0), (0.0, 0.0), (20.0, 20.0), (-20.
 Corners = tuple[tuple[float, float], ...]
 
 
-def polygon(command: int, corners: Corners = SQUARE, first: int = 0) -> list[Any]:
+def polygon(command: int, corners: Corners = SQUARE) -> list[Any]:
     parameters = (float(len(corners)), 0.0, 0.0, 0.0)
     return [
-        item(command, *corner, parameters=parameters, seq=first + number, frame=5, mission_type=FENCE)
+        item(command, *corner, parameters=parameters, seq=number, frame=5, mission_type=FENCE)
         for number, corner in enumerate(corners)
     ]
 
