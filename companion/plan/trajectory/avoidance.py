@@ -13,7 +13,7 @@ EKF's origin, so that surveyed positions do not move with an estimate. m, s.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final, Literal
 
@@ -71,6 +71,18 @@ _Detour = tuple[Course, _Corners]
 
 
 @dataclass(frozen=True, slots=True)
+class _Stop:
+    """A stop that is flown: in space, where it was checked, and as last seen from the reference's frame.
+
+    It is a commitment. A quintic planned anew in each cycle never comes to its hard middle: it ends farther
+    on than what was checked.
+    """
+
+    in_space: Trajectory
+    seen: Trajectory
+
+
+@dataclass(frozen=True, slots=True)
 class _Flown:
     """What the obstacles make of the path, and the detour that is flown for it."""
 
@@ -78,6 +90,7 @@ class _Flown:
     detour: Course | None = None
     corners: _Corners = ()  # of the last detour: the side that was begun is not left for little
     think_again_s: float = -math.inf  # no sooner than then, unless the detour that is flown fails
+    stop: _Stop | None = None  # while there is no way
 
 
 class Avoidance:
@@ -148,7 +161,7 @@ class Avoidance:
             else:  # what takes long is planned less often
                 pause_s = max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (found[0].end_s - now_s))
                 self._flown = _Flown("waiting_over" if waits else "detour", *found, now_s + pause_s)
-        return self._flown.detour or self._stop(start, now_s)
+        return self._flown.detour or self.stop(start, now_s, level=level)
 
     def along(self, start: Motion, points: Sequence[Vector3], now_s: float) -> Course | None:
         """Through points in space, round what is between them; None when there is no way that keeps clear."""
@@ -166,6 +179,20 @@ class Avoidance:
     def brake(self, start: Motion, now_s: float) -> Trajectory:
         """Come to rest in the reference's frame, as gently as that keeps clear."""
         return self._braked(start, self.frame, now_s)
+
+    def stop(self, start: Motion, now_s: float, *, level: bool = False) -> Trajectory:
+        """Come to rest in space, seen from the reference's frame, while there is no way that keeps clear.
+
+        Once begun it is flown on, until another one keeps clear and it does not.
+        """
+        flown = self._flown.stop
+        kept = flown.in_space if flown is not None and _on(flown.seen, start, now_s, level=level) else None
+        if kept is None or not self._keeps_clear(kept, now_s, STILL):
+            again = self._braked(in_space(start, self.frame), STILL, now_s)
+            kept = again if kept is None or self._keeps_clear(again, now_s, STILL) else kept
+        seen = carried(kept, space_seen_from(self.frame), now_s)
+        self._flown = replace(self._flown, stop=_Stop(kept, seen))
+        return seen
 
     def straight_clear(self, start: Vector3, goal_from_home_m: Vector3) -> bool:
         """Whether the straight line from a point in space to a place that counts from home keeps clear."""
@@ -200,7 +227,8 @@ class Avoidance:
         return self.blocked and now_s < self._flown.think_again_s
 
     def _block(self, now_s: float) -> None:
-        self._flown = _Flown("blocked", None, self._flown.corners, now_s + _THINK_AGAIN_S)
+        think_again_s = now_s + _THINK_AGAIN_S
+        self._flown = _Flown("blocked", None, self._flown.corners, think_again_s, self._flown.stop)
 
     def tell(self, say: Announcements, now_s: float) -> None:
         """Announce a detour, that there is none, and when the path is straight again; call it every cycle."""
@@ -321,11 +349,6 @@ class Avoidance:
             via += [*(add(corner, self.home_ned_m) for corner in corners), add(there, self.home_ned_m)]
         return via[:-1]
 
-    def _stop(self, start: Motion, now_s: float) -> Trajectory:
-        """Come to rest in space, seen from the reference's frame."""
-        stop = self._braked(in_space(start, self.frame), STILL, now_s)
-        return carried(stop, space_seen_from(self.frame), now_s)
-
     def _braked(self, start: Motion, frame: Motion, now_s: float) -> Trajectory:
         """Come to rest in a frame; harder where the gentle stop comes too near."""
         stop = brake(start, now_s, self._limits.horizontal_acceleration_m_s2)
@@ -346,7 +369,7 @@ def _places(way: PlannedPath, frame: Motion, now_s: float, from_s: float, to_s: 
     return points
 
 
-def _on(course: Course, start: Motion, now_s: float, *, level: bool) -> bool:
+def _on(course: PlannedPath, start: Motion, now_s: float, *, level: bool) -> bool:
     """Whether the reference is on a course still: levelling off takes its height elsewhere, and may."""
     there, axes = course.at(now_s), 2 if level else 3
     near = math.dist(there.position_m[:axes], start.position_m[:axes]) <= _SLACK

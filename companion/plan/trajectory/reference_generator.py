@@ -171,7 +171,7 @@ class ReferenceGenerator:
         course = self.avoidance.along(self.at(now_s), points, now_s)
         if course is None:
             # held as it is: `rest` would forget that there is no way
-            self._trajectory, self._level = self.avoidance.brake(self.at(now_s), now_s), None
+            self._trajectory, self._level = self.avoidance.stop(self.at(now_s), now_s), None
             return
         self._follow(course, now_s)
 
@@ -210,7 +210,8 @@ class ReferenceGenerator:
         """Levelling off first, where the way would sink below both its ends or rise above both; else None.
 
         A long way from a state that sinks or climbs, or is about to, ends at rest but goes on for metres: and
-        planned anew from there it is longer still. No climb over an obstacle is meant, where the way is
+        planned anew from there it is longer still. So is a stop that is: what was begun is kept
+        while it ends nearer than the way's farthest. No climb over an obstacle is meant, where the way is
         free for a cycle.
         """
         z, goal, step_s = start.position_m[2], target.position_m[2], (way.end_s - now_s) / CHECKED
@@ -221,9 +222,11 @@ class ReferenceGenerator:
             goal_then = goal + target.velocity_m_s[2] * after_s
             above_m = 0.0 if over_something else min(z, goal, goal_then) - there
             beyond_m = max(beyond_m, there - max(z, goal, goal_then), above_m)
-        if beyond_m <= _MAX_OVERSHOOT_M:
-            return None
-        level = brake(_upright(start), now_s, HARD_STOP_M_S2)
+        level = self._level
+        if level is None or now_s >= level.end_s:
+            if beyond_m <= _MAX_OVERSHOOT_M:
+                return None
+            level = brake(_upright(start), now_s, HARD_STOP_M_S2)
         stopped_m = abs(level.at(level.end_s).position_m[2] - z)
         return level if stopped_m < beyond_m else None
 

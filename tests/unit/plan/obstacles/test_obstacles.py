@@ -398,6 +398,47 @@ def test_a_route_that_cannot_be_had_is_not_begun() -> None:
     assert g.at(2.0).position_m == pytest.approx(from_home(0.0, 0.0, 5.0))
 
 
+@pytest.mark.parametrize("gaining_m_s2", [0.0, 2.0])
+@pytest.mark.parametrize("speed_m_s", [1.5, 3.0, 6.0])
+def test_the_stop_that_was_checked_is_the_one_that_is_flown(speed_m_s: float, gaining_m_s2: float) -> None:
+    g = generator(wall_shape(60.0, 0.0, 200.0))
+    g.start("local", Motion(from_home(0.0, 0.0, 5.0), (speed_m_s, 0.0, 0.0), (gaining_m_s2, 0.0, 0.0)), 0.0)
+    planned = g.resting_place_m()
+    reached = []
+    for k in range(600):
+        g.fly_along([from_home(60.0, 0.0, 5.0)], k * CYCLE_S)  # within the wall: there is no way
+        reached.append(g.at((k + 1) * CYCLE_S).position_m)
+    assert g.avoidance.blocked
+    assert reached[-1] == pytest.approx(planned, abs=1e-6)
+    assert max(north for north, _, _ in reached) <= planned[0] + 1e-6
+
+
+def test_over_a_pad_that_turns_towards_a_wall_it_stops_in_space() -> None:
+    wall_m, speed_m_s, turns_rad_s = 12.0, 4.0, 0.6
+    shape = wall_shape(0.0, wall_m, 400.0, heading=0.0, height=40.0)
+    g = generator(shape)
+    north = east = course_rad = 0.0
+    g.see(HOME, Motion(HOME, (speed_m_s, 0.0, 0.0)))
+    g.start("pad", Motion((0.0, 0.0, -2.0)), 0.0)
+    flown, blocked = [], False
+    for k in range(round(14.0 / CYCLE_S)):
+        now_s, turn_rad_s = k * CYCLE_S, 0.0
+        if now_s >= 3.0 and course_rad < math.pi / 2:
+            turn_rad_s = turns_rad_s
+        course_rad = min(math.pi / 2, course_rad + turn_rad_s * CYCLE_S)
+        along, aside = speed_m_s * math.cos(course_rad), speed_m_s * math.sin(course_rad)
+        north, east = north + along * CYCLE_S, east + aside * CYCLE_S
+        pad = Motion(
+            from_home(north, east, 0.0), (along, aside, 0.0), (-aside * turn_rad_s, along * turn_rad_s, 0.0)
+        )
+        g.see(HOME, pad)
+        g.fly_level(Motion((0.0, 0.0, -2.0)), math.inf, now_s)
+        blocked = blocked or g.avoidance.blocked
+        flown.append(relative(g, pad, now_s))
+    assert blocked
+    assert clearance(flown, (shape,)) >= KEPT_AWAY_M
+
+
 def test_the_reference_has_no_step_where_a_way_round_begins_while_sinking() -> None:
     shapes = (wall_shape(6.0, 2.0, 7.0), pole_shape(12.0, -2.0))
     g = generator(*shapes, ceiling=5.0)

@@ -11,7 +11,7 @@ from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.course import Course, PlannedPath, halting, paced, through
-from companion.plan.trajectory.min_jerk import Trajectory, brake, carried, plan, quintic
+from companion.plan.trajectory.min_jerk import HARD_STOP_M_S2, Trajectory, brake, carried, plan, quintic
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 START = Motion((1.0, -2.0, -7.0), (0.8, -0.3, 0.5), (0.2, 0.1, -0.4))
@@ -561,3 +561,18 @@ def test_a_climb_or_sink_at_the_start_is_stopped_before_the_way_to_a_goal_on_the
         farthest_m = max(farthest_m, upwards * (-5.0 - g.at(now).position_m[2]))
     assert farthest_m < 1.0
     assert g.at(600 * CYCLE_S).position_m == pytest.approx((0.0, 0.0, -5.0 + 4.0 * upwards), abs=0.02)
+
+
+@pytest.mark.parametrize(("height_m", "sink_m_s", "goal_m"), [(5.0, 1.2, 7.0), (1.0, 0.8, 1.68)])
+def test_levelling_off_is_flown_as_it_was_planned(height_m: float, sink_m_s: float, goal_m: float) -> None:
+    sinking = Motion((0.0, 0.0, -height_m), (0.0, 0.0, sink_m_s))
+    stop = brake(sinking, 0.0, HARD_STOP_M_S2)
+    planned_m = -stop.at(stop.end_s).position_m[2]
+    g = generator()
+    g.start("pad", sinking, 0.0)
+    lowest_m = height_m
+    for k in range(300):
+        g.fly_to(Motion((0.0, 0.0, -goal_m)), k * CYCLE_S)
+        lowest_m = min(lowest_m, -g.at((k + 1) * CYCLE_S).position_m[2])
+    assert lowest_m == pytest.approx(planned_m, abs=0.02)
+    assert g.at(300 * CYCLE_S).position_m[2] == pytest.approx(-goal_m, abs=0.02)
