@@ -23,6 +23,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.base.motion import Motion
+from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.estimate_steps import EstimateSteps
@@ -169,17 +170,26 @@ class PhaseSteering:
         return self.touchdown.contact if self._machine.state in GOING_DOWN else None
 
     def feet_near(self, echo: RangeSample | None, now_s: float) -> bool:
-        """Whether the feet may stand on something, by sight or echo; legs may be longer than told."""
-        if self._machine.state not in BY_THE_PAD:
-            return False
+        """Whether the feet may stand on something; legs may be longer than told.
+
+        They may where the thrust is taken away for them. Else sight and echo tell, and in the touchdown the
+        height that is predicted, for as long as the contact goes by it; then it is unknown, and may be none.
+        """
+        state, contact = self._machine.state, self.contact
+        if state not in BY_THE_PAD or (contact is not None and contact.unloading > 0.0):
+            return state in BY_THE_PAD
         sight, near_m = self._pad.sight, self._vehicle.leg_height_m + WITHIN_HAND_M
-        if sight is not None and sight.age_s <= KNOWN_S:
-            if sight.height_m > near_m + AWAY_M:
-                return False  # whatever the echo says: it is stuck
-            if sight.height_m <= near_m and sight.lateral_m <= self._pad_half_width_m:
-                return True
+        seen = sight is not None and sight.age_s <= KNOWN_S
+        if sight is not None and seen:
+            below = sight.height_m <= near_m and sight.lateral_m <= self._pad_half_width_m
+            if below or sight.height_m > near_m + AWAY_M:
+                return below  # whatever the echo says of a pad that is away: it is stuck
         echo_m = echo_height_m(echo, self._vehicle, now_s)
-        return echo_m is not None and echo_m <= near_m
+        if echo_m is not None or seen or state.phase is not Phase.TOUCHDOWN:
+            return echo_m is not None and echo_m <= near_m
+        if sight is None or sight.age_s > self._config.touchdown.blind_s:
+            return True
+        return sight.height_m - SIGMA_THRESHOLD * sight.height_std_m <= near_m
 
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""

@@ -568,6 +568,25 @@ def test_critical_in_the_descent_it_is_finished_as_the_settings_say(finishes: bo
     assert w.flight.phase is (Phase.LANDED if finishes else Phase.ABORT)
 
 
+def test_the_feet_are_near_while_they_may_stand_unseen() -> None:
+    w, stood = world(still()), list[bool]()
+    lost_s = 0.0
+
+    def note(w: PlanWorld, step: PlanStep) -> None:
+        nonlocal lost_s
+        over_m = w.pad(w.now_s)[2] - w.position[2] - LEG_M
+        if step.phase is Phase.TOUCHDOWN and over_m < 0.12 and not lost_s:
+            lost_s, w.range_lost = w.now_s, True
+        if step.unloading > 0.0 or (lost_s and w.now_s - lost_s > 0.5 and step.phase is Phase.TOUCHDOWN):
+            stood.append(step.feet_near)
+
+    w.each = note
+    w.blind = lambda _t, _height: lost_s > 0.0
+    w.fly(120.0, until=lambda w: w.flight.phase is Phase.LANDED)
+    assert stood
+    assert all(stood)
+
+
 @pytest.mark.parametrize("echo_m", [None, 0.06])
 def test_the_feet_are_near_low_over_the_pad_alone_whatever_a_stuck_echo_says(echo_m: float | None) -> None:
     w, near = world(), set[bool]()
