@@ -97,7 +97,7 @@ class Planner:
         self._say = Announcements()
         self._heard_s = -math.inf
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
-        self._monitor = FailsafeMonitor(mission, self._machine, self._requests)
+        self._monitor = FailsafeMonitor(config, self._machine, self._requests)
         self._pad = PadTrack(search.sightings, KNOWN_S)
         self._ground, self._echoes = HeightAboveGround(vehicle.range_position_body_m), EchoCheck()
         self._standing_height = standing_height or StandingHeight(vehicle)

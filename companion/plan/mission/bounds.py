@@ -1,22 +1,25 @@
 """The limits of a mission: fence, ceiling, and the fastest pad that is followed.
 
 They apply to the vehicle, whatever it follows. A limit counts as reached while the vehicle can still stop
-before it: at the speed v towards it that takes v t + v^2 / (2 a), with the time t until a HOLD is obeyed
-and the deceleration a that both autopilots reach in it. m, s; NED.
+before it: by the autopilot's HOLD, which takes v t + v^2 / (2 a) at the speed v towards it, with the time t
+until it is obeyed and the deceleration a that both autopilots reach in it, and by the app's own hold, as
+`min_jerk.brake` plans it. m, s; NED.
 """
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import Final
 
-from companion.base.geometry import Vector3, add, ned_from_geodetic, subtract
+from companion.base.geometry import Vector3, add, ned_from_geodetic, norm, subtract
 from companion.base.messages import AutopilotState, PadState, VehicleState
 from companion.base.motion import Motion
 from companion.base.second_sources import SIGMA_THRESHOLD
-from companion.config import MissionConfig
+from companion.config import PlanConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.trajectory.coordinate_frames import along_arc
+from companion.plan.trajectory.min_jerk import stop_s
 
 # A request, its answer and the begin of the braking: 0.2 s each on a slow link, and 0.4 s more to tilt.
 _OBEYED_S: Final = 0.8
@@ -26,17 +29,23 @@ _BRAKES_M_S2: Final = 2.0
 _TOO_HARD_S: Final = 0.5
 
 
-def stopping_m(speed_m_s: float) -> float:
-    """How far (m) the vehicle still gets at a speed towards a bound; 0 when it flies away from it."""
-    speed = max(0.0, speed_m_s)
-    return speed * _OBEYED_S + speed * speed / (2.0 * _BRAKES_M_S2)
+def stopping_m(towards_m_s: float, speed_m_s: float, deceleration_m_s2: float) -> float:
+    """How far (m) the vehicle still gets at a speed towards a bound; 0 when it flies away from it.
+
+    At `speed_m_s` in all its own hold takes as long as `brake` with the plan's deceleration, and by then has
+    flown half of what it would have at that speed.
+    """
+    towards_m_s = max(0.0, towards_m_s)
+    by_autopilot_m = towards_m_s * (_OBEYED_S + towards_m_s / (2.0 * _BRAKES_M_S2))
+    return max(by_autopilot_m, 0.5 * towards_m_s * stop_s(speed_m_s, deceleration_m_s2))
 
 
 class Bounds:
     """Looks at every cycle's estimates. Without a home position there is nothing to count from."""
 
-    def __init__(self, config: MissionConfig) -> None:
-        self._config = config
+    def __init__(self, config: PlanConfig) -> None:
+        self._config = config.mission
+        self._brakes_m_s2 = config.guidance.horizontal_acceleration_m_s2
         self._held = Debounce()
 
     def detect(
@@ -79,11 +88,14 @@ class Bounds:
         c = self._config
         north, east, down = from_home_m
         vn, ve, vd = vehicle.velocity_ned_m_s
+        room = partial(
+            stopping_m, speed_m_s=norm(vehicle.velocity_ned_m_s), deceleration_m_s2=self._brakes_m_s2
+        )
         away_m = math.hypot(north, east)
         outward_m_s = (north * vn + east * ve) / away_m if away_m > 0.0 else 0.0
-        if away_m + stopping_m(outward_m_s) > c.fence_m:
+        if away_m + room(outward_m_s) > c.fence_m:
             yield MissionEvent.OUT_OF_BOUNDS, f"fence: {away_m:.0f} m from home, limit {c.fence_m:.0f} m"
-        if -down + stopping_m(-vd) > c.ceiling_m:
+        if -down + room(-vd) > c.ceiling_m:
             yield MissionEvent.OUT_OF_BOUNDS, f"ceiling: {-down:.0f} m over home, limit {c.ceiling_m:.0f} m"
 
     def _pad(self, pad: PadState | None, now_s: float) -> Iterator[DetectedEvent]:

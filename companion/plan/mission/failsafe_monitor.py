@@ -18,7 +18,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.base.second_sources import TABLE, Reaction
-from companion.config import MissionConfig
+from companion.config import PlanConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
@@ -112,9 +112,9 @@ def _disputed(
 class FailsafeMonitor:
     """Looks at every cycle's inputs before the phase does."""
 
-    def __init__(self, config: MissionConfig, machine: StateMachine, requests: Requests) -> None:
-        self._config, self._machine, self._requests = config, machine, requests
-        self._modes = ModeMonitor(config.take_off_height_m)
+    def __init__(self, config: PlanConfig, machine: StateMachine, requests: Requests) -> None:
+        self._config, self._machine, self._requests = config.mission, machine, requests
+        self._modes = ModeMonitor(self._config.take_off_height_m)
         self.bounds = Bounds(config)
         self._held = Debounce()
         self.lies = False  # on its side, by all that tells

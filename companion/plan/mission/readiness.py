@@ -173,5 +173,5 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
         yield inputs.thrust_doubt
     if config.obstacles:
         yield "plan.obstacles need a take-off by the app"
-    for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):
+    for _, words in Bounds(config).detect(inputs.vehicle, None, inputs.autopilot, now_s):
         yield words

@@ -19,7 +19,7 @@ from companion.base.messages import (
 )
 from companion.base.motion import Motion
 from companion.base.second_sources import ROWS, SIGMA_THRESHOLD, Reaction, SourceRow
-from companion.config import MissionConfig, PhaseTimesConfig, PlanConfig
+from companion.config import GuidanceConfig, MissionConfig, PhaseTimesConfig, PlanConfig
 from companion.plan.events import MissionEvent
 from companion.plan.inputs import ComputerLoad, PlanInputs
 from companion.plan.mission.bounds import Bounds, stopping_m
@@ -27,14 +27,16 @@ from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Authority, Circumstances, State
 from companion.plan.mission.table import BY_THE_PAD, FINAL, IN_AIR, StateMachine, follows
+from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.coordinate_frames import along_arc
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.compared import STD, differ
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import line, still
 from tests.unit.plan.plan_autopilot import HOME
 from tests.unit.plan.plan_harness import ORIGIN, ORIGIN_NED_M, PlanWorld
 
-CONFIG = MissionConfig(total_timeout_s=100.0, phases=PhaseTimesConfig(approach_s=30.0))
+CONFIG = PlanConfig(mission=MissionConfig(total_timeout_s=100.0, phases=PhaseTimesConfig(approach_s=30.0)))
 FLYING = AutopilotState(0.0, connected=True, autopilot_kind="px4", armed=True, mode="OFFBOARD", offboard=True)
 HELD = replace(FLYING, mode="LOITER", offboard=False)
 
@@ -404,7 +406,7 @@ def test_a_failsafe_of_the_autopilots_is_not_called_a_pilot(mode: str, intended:
 
 # ---------------- Fence, ceiling and the fastest pad: reached with room to stop, whatever is followed
 
-BOUNDED = MissionConfig(fence_m=50.0, ceiling_m=20.0)
+BOUNDED = PlanConfig(mission=MissionConfig(fence_m=50.0, ceiling_m=20.0))
 
 
 def vehicle_at(from_home_m: Vector3, velocity: Vector3) -> VehicleState:
@@ -416,16 +418,18 @@ def vehicle_at(from_home_m: Vector3, velocity: Vector3) -> VehicleState:
     return replace(known, position_ned_m=position, velocity_ned_m_s=velocity, origin=ORIGIN)
 
 
-def found(vehicle: VehicleState | None, home: Vector3 | None = HOME) -> list[str]:
+def found(
+    vehicle: VehicleState | None, home: Vector3 | None = HOME, config: PlanConfig = BOUNDED
+) -> list[str]:
     autopilot = AutopilotState(5.0, connected=True, home=home)
-    return [reason for _, reason in Bounds(BOUNDED).detect(vehicle, None, autopilot, 5.0)]
+    return [reason for _, reason in Bounds(config).detect(vehicle, None, autopilot, 5.0)]
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.0, 4.0])
 @pytest.mark.parametrize("course_deg", [0.0, 135.0, 250.0])
 def test_the_fence_is_reached_so_early_that_it_can_stop_before_it(speed: float, course_deg: float) -> None:
     x, y = math.cos(math.radians(course_deg)), math.sin(math.radians(course_deg))
-    edge_m = 50.0 - stopping_m(speed)
+    edge_m = 50.0 - stopping_m(speed, speed, BOUNDED.guidance.horizontal_acceleration_m_s2)
     outward = (speed * x, speed * y, 0.0)
     for away_m, reached in ((edge_m - 0.1, False), (edge_m + 0.1, True)):
         assert bool(found(vehicle_at((away_m * x, away_m * y, -5.0), outward))) is reached
@@ -441,8 +445,26 @@ def test_the_ceiling_likewise() -> None:
 
 def test_the_room_to_stop_in_is_that_of_a_late_and_gentle_brake() -> None:
     # 0.8 s straight on, then at 2 m/s²
-    assert stopping_m(4.0) == pytest.approx(0.8 * 4.0 + 4.0**2 / 4.0)
-    assert stopping_m(-3.0) == 0.0
+    assert stopping_m(4.0, 4.0, 2.0) == pytest.approx(0.8 * 4.0 + 4.0**2 / 4.0)
+    assert stopping_m(-3.0, 3.0, 2.0) == 0.0
+
+
+@pytest.mark.parametrize("brakes_m_s2", [0.5, 1.0, 2.0, 5.0])
+@pytest.mark.parametrize("speed_m_s", [0.5, 4.0, 7.0])
+def test_the_app_s_own_hold_stops_before_the_bounds(speed_m_s: float, brakes_m_s2: float) -> None:
+    config = PlanConfig(
+        mission=MissionConfig(fence_m=100.0, ceiling_m=20.0),
+        guidance=GuidanceConfig(horizontal_acceleration_m_s2=brakes_m_s2),
+    )
+    climbing = (speed_m_s, 0.0, -1.0)
+    held = ReferenceGenerator(config.guidance, lambda _d, _v, _a: 1.0, 20, 0.1, Avoidance(config, 0.0))
+    held.start("local", Motion((0.0, 0.0, 0.0), climbing), 0.0)
+    north_m, _, down_m = held.resting_place_m()
+    beyond_m = 0.01
+    over_fence = found(vehicle_at((100.0 - north_m + beyond_m, 0.0, -5.0), climbing), config=config)
+    assert [words[:5] for words in over_fence] == ["fence"]
+    over_ceiling = found(vehicle_at((0.0, 0.0, -20.0 - down_m - beyond_m), climbing), config=config)
+    assert [words[:7] for words in over_ceiling] == ["ceiling"]
 
 
 @pytest.mark.parametrize(
