@@ -289,8 +289,11 @@ class Controller:
         )
 
     def _learn(self, start: _Start, target: Target, disturbance: Vector3, solution: TrackingSolution) -> None:
-        """Learn from the feedback what of the pad's acceleration is not flown; not while it is levelled."""
-        if not solution.solved or target.horizontal_bound_m_s2 is not None:
+        """Learn from the feedback what of the pad's acceleration is not flown; not while a bound holds it.
+
+        What is not flown for want of tilt or thrust, or of a vehicle that levels, is no lag and no scale.
+        """
+        if not solution.solved or solution.short_of or target.horizontal_bound_m_s2 is not None:
             return
         needed = needed_inputs(target, disturbance, self._lags_s, self._config.step_s)[0]
         effort = vector3((solution.inputs_m_s2[0] - needed).tolist())

@@ -207,6 +207,13 @@ def test_a_vehicle_that_tilts_too_far_stays_over_a_pad_on_a_circle() -> None:
     assert flight.lateral_error_m(20.0) < 0.008
 
 
+def test_a_wind_that_takes_all_of_the_tilt_teaches_nothing() -> None:
+    flying = controller(limits={"tilt_deg": 20.0})
+    loop = Loop(flying, SwayingAutopilot(), tight_circle, still, wind=lambda _t: (3.0, 0.0, 0.0))
+    assert any(report.short_of == "tilt" for report in loop.fly(20.0).reports)
+    assert abs(flying._feedforward.share) < 0.04
+
+
 def test_over_a_pad_that_drives_straight_on_it_is_as_ever() -> None:
     flying = controller(setpoint="attitude")
     Loop(flying, TooKeen(), line, still, noise=0.0).fly(4.0)
