@@ -7,11 +7,9 @@ is worse than none. `read` gives what came, one byte or more, and raises OSError
 from __future__ import annotations
 
 import asyncio
-import errno
 import logging
 import math
 import os
-import socket
 from collections import deque
 from collections.abc import Callable
 from typing import Final, Protocol
@@ -19,7 +17,7 @@ from typing import Final, Protocol
 import serial
 
 from companion.base.clock import Clock
-from companion.base.errors import ConfigError, DeviceMissing
+from companion.base.errors import ABSENT, ConfigError, DeviceMissing
 from companion.base.udp_socket import Inbox, UdpSocket
 from companion.config import CONNECTION_FORM
 from companion.link.codec import autopilot_heartbeats
@@ -146,10 +144,6 @@ def memory_pair(latency_s: float = 0.002) -> tuple[MemoryTransport, MemoryTransp
 
 _PEER_SILENCE_S: Final = 3.0
 _QUIET_TURNS: Final = 3
-_ABSENT: Final = frozenset(
-    {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.EACCES, errno.EBUSY, errno.EAGAIN}
-    | {errno.ECONNREFUSED, errno.ETIMEDOUT, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EADDRNOTAVAIL}
-)
 _TURNS_TO_READ: Final = 500
 _log = logging.getLogger(__name__)
 
@@ -306,8 +300,10 @@ async def open_transport(spec: str, system_id: int = 0, signing: LinkSigning | N
 
 
 def _may_come(error: Exception) -> bool:
-    """Whether it may open later: a port to be plugged in, a network or a peer that is still starting."""
-    return isinstance(error, socket.gaierror) or (isinstance(error, OSError) and error.errno in _ABSENT)
+    """Whether it may open later: a port to be plugged in; over a network whatever is no malformed address."""
+    if isinstance(error, serial.SerialException):
+        return error.errno in ABSENT
+    return isinstance(error, OSError)
 
 
 def _reason(error: Exception) -> str:

@@ -11,13 +11,9 @@ from typing import Final
 
 import serial
 
-from companion.base.errors import ConfigError, DeviceMissing
+from companion.base.errors import ABSENT, ConfigError, DeviceMissing
 from companion.base.files import TAKEN
 
-# what opening a device that is not there ends in; what has just been plugged in may be nobody's yet
-ABSENT: Final = frozenset(
-    {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.EACCES, errno.EBUSY, errno.EAGAIN}
-)
 _CHUNK_BYTES: Final = 4096
 _BACKLOG_BYTES: Final = 65536
 

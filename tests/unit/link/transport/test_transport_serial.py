@@ -1,12 +1,15 @@
 """Serial lines and TCP: bytes both ways, and a clear end."""
 
 import asyncio
+import errno
 import os
 import pty
+import socket
 import tty
 
 import pytest
 
+from companion.base.errors import DeviceMissing
 from companion.config import ConfigError
 from companion.link.transport import SerialTransport, TcpTransport, UdpTransport, open_transport
 
@@ -129,3 +132,31 @@ async def test_tcp_drops_whole_writes_while_nobody_takes_them() -> None:
 async def test_a_tcp_port_where_nobody_listens_is_reported_in_one_line() -> None:
     with pytest.raises(ConfigError, match=r"^link\.connection: tcp:127\.0\.0\.1:1: Connection refused$"):
         await open_transport("tcp:127.0.0.1:1")
+
+
+@pytest.mark.parametrize("network", ["is up", "is down"])
+async def test_a_peer_that_is_not_up_yet_may_come_whatever_keeps_it_away(
+    network: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop = asyncio.get_running_loop()
+
+    async def of_both_kinds(_host: str, port: int, **_: object) -> list[tuple[object, ...]]:
+        addresses = (socket.AF_INET6, ("::1", port, 0, 0)), (socket.AF_INET, ("127.0.0.1", port))
+        return [(family, socket.SOCK_STREAM, 6, "", address) for family, address in addresses]
+
+    async def network_is_down(*_: object) -> None:
+        raise OSError(errno.ENETDOWN, "Network is down")
+
+    # asyncio's error for several addresses that refuse, each in its own words, has no number
+    monkeypatch.setattr(loop, "getaddrinfo", of_both_kinds)
+    if network == "is down":
+        monkeypatch.setattr(loop, "sock_connect", network_is_down)
+    with pytest.raises(DeviceMissing, match=r"^link\.connection: tcp:peer:1: "):
+        await open_transport("tcp:peer:1")
+
+
+@pytest.mark.parametrize("spec", ["serial:/dev/null:57600", "tcp:127.0.0.1:99999", "udp:a..b:14540"])
+async def test_what_can_never_be_opened_is_no_missing_device(spec: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        await open_transport(spec)
+    assert not isinstance(caught.value, DeviceMissing)
