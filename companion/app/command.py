@@ -139,9 +139,8 @@ async def _service(
         async def report() -> StateReport:
             held_back = await asyncio.to_thread(throttled)
             now_s = clock.now_s()
-            recording = None if log.flight_folder is None else str(log.flight_folder)
             state = machine.state(now_s, record, held_back)
-            return state_report(app, log.meter, state, recording, now_s, start_s)
+            return state_report(app, log.meter, state, log, now_s, start_s)
 
         async def report_json() -> str:
             return (await report()).model_dump_json()

@@ -2,10 +2,12 @@
 
 In standby the last minute is kept in memory, and nothing goes to the card. A flight's log begins with it,
 written by the log's own thread, a slice at a time: the control loop hands over the whole minute at once. Its
-files are opened in a thread too, and what comes meanwhile joins the minute. Nothing here waits for the card
-in a flight or at its end, and no failure to open a log reaches whoever writes to it, the control loop.
+files are opened in a thread too, and what comes meanwhile joins the minute; what of the flight no longer fits
+in there is lost, counted and told. Nothing here waits for the card in a flight or at its end, and no failure
+to open a log reaches whoever writes to it, the control loop.
 """
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -54,7 +56,9 @@ class FlightsRecorder(FlightLog):
         self._opening: Future[FlightLog] | None = None
         self._flight: FlightLog | None = None
         self._ending: FlightLog | None = None  # whose last messages are being written
-        self._minute: deque[BufferedCall] = deque(maxlen=MOST_KEPT)
+        self._minute: deque[BufferedCall] = deque()
+        self._begun_s = math.inf  # the first message of the flight whose log is being opened
+        self._lost = 0  # of that flight's
         self._kept_frame_s = float("-inf")
         self._settings: dict[str, BaseModel] = {}
         self._settings_record: Future[SettingsRecord] | None = None
@@ -63,21 +67,25 @@ class FlightsRecorder(FlightLog):
 
     @property
     def flight_folder(self) -> Path | None:
-        """Where the flight under way is recorded."""
+        """See `FlightLog`; None between flights, and until its files are open."""
         flight = self._opened()
         return None if flight is None else flight.folder
 
     @property
     def problem(self) -> str | None:
-        """See `FlightLog`; a flight without a log because none could be made counts too."""
-        flight = self._opened()
-        return self._failed if flight is None else flight.problem
+        """See `FlightLog`; a flight without a log because none could be made, or not yet, counts too."""
+        if (flight := self._opened()) is not None:
+            return flight.problem
+        if self._opening is not None and self._lost:
+            return f"the disk does not answer: {self._lost} messages lost from the log"
+        return self._failed
 
     def begin(self) -> None:
         """A flight begins; it is flown also where it cannot be recorded, and `problem` says so."""
         self._failed = None
         if self.root is None or self._flight is not None or self._opening is not None:
             return
+        self._begun_s, self._lost = math.inf, 0
         self._opening = self._opener.submit(self._open, self.root)
 
     def _open(self, root: Path) -> FlightLog:
@@ -91,7 +99,7 @@ class FlightsRecorder(FlightLog):
             opening, self._opening = self._opening, None
             self._flight = self._result(opening)
             if self._flight is not None:
-                self._give(self._flight, self._take_minute())
+                self._give(self._flight, self._take_minute(), self._lost)
         return self._flight
 
     def _result(self, opening: Future[FlightLog]) -> FlightLog | None:
@@ -105,12 +113,12 @@ class FlightsRecorder(FlightLog):
         return None
 
     def _take_minute(self) -> deque[BufferedCall]:
-        minute, self._minute = self._minute, deque(maxlen=MOST_KEPT)
+        minute, self._minute = self._minute, deque()
         return minute
 
-    def _give(self, flight: FlightLog, minute: deque[BufferedCall]) -> None:
+    def _give(self, flight: FlightLog, minute: deque[BufferedCall], lost: int) -> None:
         record = self._settings_record
-        flight.write_before(partial(SettingsRecord.of, {}) if record is None else record.result, minute)
+        flight.write_before(partial(SettingsRecord.of, {}) if record is None else record.result, minute, lost)
 
     def end(self) -> None:
         """The flight under way has ended; its files are finished by the log's thread."""
@@ -119,13 +127,13 @@ class FlightsRecorder(FlightLog):
             self._opener.submit(self._finish, flight)
         elif self._opening is not None:
             opening, self._opening = self._opening, None
-            self._opener.submit(self._end_late, opening, self._take_minute())
+            self._opener.submit(self._end_late, opening, self._take_minute(), self._lost)
 
-    def _end_late(self, opening: Future[FlightLog], minute: deque[BufferedCall]) -> None:
+    def _end_late(self, opening: Future[FlightLog], minute: deque[BufferedCall], lost: int) -> None:
         """In the opener's thread, after the opening: the flight has ended before its files were open."""
         flight = self._result(opening)
         if flight is not None:
-            self._give(flight, minute)
+            self._give(flight, minute, lost)
             self._finish(flight)
 
     def _finish(self, flight: FlightLog) -> None:
@@ -182,5 +190,7 @@ class FlightsRecorder(FlightLog):
         elif self.root is not None:
             minute = self._minute
             minute.append(BufferedCall(time_s, method, arguments))
-            while minute and time_s - minute[0].time_s > KEPT_S:
-                minute.popleft()
+            if self._opening is not None:
+                self._begun_s = min(self._begun_s, time_s)
+            while len(minute) > MOST_KEPT or time_s - minute[0].time_s > KEPT_S:
+                self._lost += minute.popleft().time_s >= self._begun_s

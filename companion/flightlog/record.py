@@ -136,6 +136,11 @@ class FlightLog:
             self._files = _Files(self._disk, mcap, tlog, folder, start_unix_s)
 
     @property
+    def flight_folder(self) -> Path | None:
+        """Where the flight under way is recorded."""
+        return self.folder
+
+    @property
     def problem(self) -> str | None:
         """What has stopped the log on disk, or made it lose messages; None when it is whole."""
         return None if self._disk is None else self._disk.problem
@@ -173,14 +178,17 @@ class FlightLog:
         if (files := self._files) is not None:
             files.disk.put(files.write_mavlink, data, time_s, direction, bulky=True)
 
-    def write_before(self, record: Callable[[], SettingsRecord], calls: deque[BufferedCall]) -> None:
-        """Log what happened before the log began, under its settings; `calls` is emptied.
+    def write_before(
+        self, record: Callable[[], SettingsRecord], calls: deque[BufferedCall], lost: int
+    ) -> None:
+        """Log what happened before the log began, under its settings; `calls` is emptied, `lost` are missing.
 
         The log's thread does all of it, resting between slices, and writes it through to the card once: by
         its messages' times a minute would be due a hundred times, while the flight waits to be logged.
         """
         self._put_settings(record)
         if (files := self._files) is not None:
+            files.disk.lost += lost
             files.disk.put(files.write_all, calls)
 
     def close(self, *, wait: bool = True) -> None:

@@ -124,10 +124,8 @@ class LivePage:
 
     def _state(self, app: App, now_s: float) -> str:
         log = self._log
-        folder = log.flight_folder if isinstance(log, FlightsRecorder) else log.folder
-        machine = self._machine.state(now_s, folder, self._held_back)
-        recording = None if folder is None else str(folder)
-        report = state_report(app, self._feed.meter, machine, recording, now_s, self._start_s)
+        machine = self._machine.state(now_s, log.flight_folder, self._held_back)
+        report = state_report(app, self._feed.meter, machine, log, now_s, self._start_s)
         phases = [(time_s - self._start_s, phase) for time_s, phase in self._feed.phases]
         state = {"kind": "state", **report.model_dump(), "phases": phases, "viewers": self._viewers}
         return to_json(state, inf_nan_mode="null").decode()

@@ -15,6 +15,7 @@ from companion.app.service.systemd import throttled_bits
 from companion.base.messages import InputUse, Notice
 from companion.base.second_sources import SourceState, judged
 from companion.flightlog.meter import Meter, Rate
+from companion.flightlog.record import FlightLog
 from companion.link.codec import Message, computer_status
 
 # ---------------------------------------------------------------- the machine
@@ -213,9 +214,10 @@ class StateReport(_Model):
 
 
 def state_report(
-    app: App, meter: Meter, machine: ComputerStatus, recording: str | None, now_s: float, start_s: float
+    app: App, meter: Meter, machine: ComputerStatus, log: FlightLog, now_s: float, start_s: float
 ) -> StateReport:
     """The app's state now; times are the loop's (s)."""
+    folder = log.flight_folder
     autopilot, vehicle, pad = app.session.state, app.estimator.vehicle(now_s), app.estimator.pad(now_s)
     rates, order = meter.rates(now_s), app.missions.order
     uses = {use.name: use for use in app.estimator.tally.uses()}
@@ -257,9 +259,9 @@ def state_report(
         },
         late_cycles_percent=100.0 * app.loop_monitor.late_share,
         machine=machine,
-        recording=recording,
+        recording=None if folder is None else str(folder),
         events=tuple(_event(notice, start_s) for notice in list(app.announcer.recent)[-SHOWN_EVENTS:]),
-        problems=tuple(_problems(app, rates, machine, now_s)),
+        problems=tuple(_problems(app, rates, machine, log, now_s)),
     )
 
 
@@ -279,7 +281,9 @@ def _inputs(app: App) -> list[tuple[str, tuple[str, float]]]:
     return [item for item in INPUTS.items() if item[0] == "frame_report" or not app.vision_only]
 
 
-def _problems(app: App, rates: dict[str, Rate], machine: ComputerStatus, now_s: float) -> list[str]:
+def _problems(
+    app: App, rates: dict[str, Rate], machine: ComputerStatus, log: FlightLog, now_s: float
+) -> list[str]:
     found, inputs = app.not_ready(now_s), dict(_inputs(app))
     if app.sensing.camera_problem is None and "frame_report" not in rates:
         found.append("camera: no frame yet")
@@ -297,4 +301,6 @@ def _problems(app: App, rates: dict[str, Rate], machine: ComputerStatus, now_s: 
         found.append(f"processor held back: {', '.join(machine.throttled)}")
     if machine.disk_free_mb is not None and machine.disk_free_mb < LEAST_DISK_MB:
         found.append(f"disk: {machine.disk_free_mb:.0f} MB free")
+    if (problem := log.problem) is not None:
+        found.append(problem)
     return found

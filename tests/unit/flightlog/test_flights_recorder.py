@@ -22,7 +22,7 @@ from companion.flightlog import disk, flights_recorder
 from companion.flightlog.disk import DiskWriter
 from companion.flightlog.flights import next_flight_folder, numbered_flights
 from companion.flightlog.flights_recorder import KEPT_S, FlightsRecorder
-from companion.flightlog.log_file import records
+from companion.flightlog.log_file import LogReader, records
 from companion.flightlog.meter import WINDOW_S, Meter
 from companion.flightlog.record import FlightLog
 from companion.flightlog.summary import summary_of
@@ -190,6 +190,55 @@ def test_a_card_that_hangs_holds_nobody_up_and_loses_nothing(
     tell(log, 2.0)
     log.close()
     assert texts(tmp_path / "flight-0001") == ["at 0", "at 1", "at 2"]
+
+
+def losses(folder: Path) -> dict[str, str]:
+    """What the log says it has lost; nothing: nothing."""
+    reader = LogReader(folder / "flight.mcap")
+    assert list(reader.messages())
+    return reader.metadata.get("losses", {})
+
+
+@pytest.mark.parametrize("ends_first", [False, True])
+def test_what_a_card_that_hangs_for_over_a_minute_costs_is_counted_and_told(
+    ends_first: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = hanging_card(monkeypatch)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
+    for second in range(100):
+        tell(log, float(second))
+        if second == 9:
+            log.begin()
+        if second == 10 + KEPT_S:
+            assert log.problem is None  # of the minute before, not of the flight
+    told = "the disk does not answer: 29 messages lost from the log"
+    assert log.problem == told
+    if ends_first:
+        log.end()
+    answers.set()
+    if not ends_first:
+        until(lambda: log.flight_folder is not None)
+        assert "29 messages lost" in (log.problem or "")
+    log.close()
+    folder = tmp_path / "flight-0001"
+    assert texts(folder) == [f"at {second}" for second in range(39, 100)]
+    assert losses(folder) == {"messages": "29"}
+
+
+def test_what_does_not_fit_in_memory_while_a_card_hangs_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flights_recorder, "MOST_KEPT", 5)
+    answers = hanging_card(monkeypatch)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
+    for second in range(10):
+        tell(log, float(second))  # in standby that is no loss
+    log.begin()
+    for second in range(10, 18):
+        tell(log, float(second))
+    answers.set()
+    log.close()
+    assert losses(tmp_path / "flight-0001") == {"messages": "3"}
 
 
 def test_a_flight_that_ends_before_its_log_is_open_is_logged(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -131,6 +133,21 @@ def test_the_computer_s_state_is_a_message_that_others_read(tmp_path: Path) -> N
     assert heard.temperature_board == 61
     assert heard.ram_usage == 120 < heard.ram_total
     assert heard.storage_total[0] - heard.storage_usage[0] == pytest.approx(1000, abs=1)
+
+
+def test_a_log_that_loses_messages_is_no_healthy_state() -> None:
+    app: Any = SimpleNamespace(
+        not_ready=lambda _now_s: [],
+        vision_only=True,
+        sensing=SimpleNamespace(camera_problem=None),
+        estimator=SimpleNamespace(tally=SimpleNamespace(uses=tuple)),
+        loop_monitor=SimpleNamespace(late_share=0.0),
+    )
+    rates: Any = {"frame_report": SimpleNamespace(age_s=0.0)}
+    for problem in (None, "the disk does not answer: 7 messages lost from the log"):
+        log: Any = SimpleNamespace(problem=problem)
+        found = state_report._problems(app, rates, ComputerStatus(memory_mb=120.0), log, 1.0)
+        assert found == ([] if problem is None else [problem])
 
 
 def test_temperature_and_clock_frequency_are_the_kernel_s(
