@@ -12,7 +12,7 @@ from typing import Final
 
 from rich.console import Console
 
-from companion.app.app import App
+from companion.app.app import App, supervised
 from companion.app.hardware import Hardware, make_actions, open_hardware
 from companion.app.page.live_page import LivePage
 from companion.app.service.latch import FlightLatch, state_folder, unattended
@@ -145,7 +145,10 @@ async def _service(
         async def report_json() -> str:
             return (await report()).model_dump_json()
 
-        telling = asyncio.create_task(_tell_ground(app, hardware, log, record, start_s, report))
+        tell = partial(_tell_ground, app, hardware, log, record, start_s, report)
+        telling = asyncio.create_task(
+            supervised("ground report", tell, app.announcer.notify, lambda: False), name="ground report"
+        )
         try:
             with stopping_on_signals(app.request_stop):
                 async with served(socket_path(), report_json, app.missions.give, clock), page.served(app):
@@ -165,7 +168,8 @@ async def _tell_ground(
     report: Callable[[], Awaitable[StateReport]],
 ) -> None:
     """The computer's state, for the log and (ONBOARD_COMPUTER_STATUS) ground stations; ours when asked."""
-    clock, watch = Clock(), ComputerWatch(start_s)
+    clock = Clock()
+    watch = ComputerWatch(clock.now_s())
     while True:
         await asyncio.sleep(GROUND_REPORT_S)
         now_s = clock.now_s()

@@ -64,7 +64,7 @@ class ComputerWatch:
             clock_mhz=_thousandth(_CLOCK / "scaling_cur_freq"),
             full_clock_mhz=_thousandth(_CLOCK / "cpuinfo_max_freq"),
             throttled=held_back,
-            disk_free_mb=_disk_free_mb(folder),
+            disk_free_mb=None if folder is None else _disk_mb(folder)[0],
         )
 
 
@@ -72,17 +72,14 @@ def ground_report(status: ComputerStatus, folder: Path | None, unix_s: float, up
     """The same for a ground station: the app's own share of the whole processor, its memory, the disk."""
     cores, share = os.cpu_count() or 1, status.cpu_percent
     total_mb = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / _MEGABYTE
-    storage = None
-    if status.disk_free_mb is not None:
-        total = shutil.disk_usage(folder or Path("/")).total / _MEGABYTE
-        storage = (total - status.disk_free_mb, total)
+    free_mb, disk_mb = status.disk_free_mb, 0.0 if folder is None else _disk_mb(folder)[1]
     return computer_status(
         round(1e6 * unix_s),
         round(1e3 * up_s) % 2**32,
         None if share is None else share / cores,
         status.temperature_deg_c,
         (status.memory_mb, total_mb),
-        storage,
+        (disk_mb - free_mb, disk_mb) if disk_mb and free_mb is not None else None,
     )
 
 
@@ -110,10 +107,13 @@ def _thousandth(file: Path) -> float | None:
         return None
 
 
-def _disk_free_mb(folder: Path | None) -> float | None:
-    while folder is not None and not folder.exists():
-        folder = folder.parent if folder.parent != folder else None
-    return None if folder is None else shutil.disk_usage(folder).free / 1e6
+def _disk_mb(folder: Path) -> tuple[float, float]:
+    """What is free of the disk that a folder is or will be on, and its size; one that fails has no room."""
+    try:
+        usage = shutil.disk_usage(next(place for place in (folder, *folder.parents) if place.exists()))
+    except (OSError, StopIteration):
+        return 0.0, 0.0
+    return usage.free / _MEGABYTE, usage.total / _MEGABYTE
 
 
 # the log's topics that are inputs, and how old the newest may be before something is wrong (s)

@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -83,6 +84,42 @@ async def test_who_asks_by_the_link_is_told_how_it_stands(monkeypatch: pytest.Mo
         ("status", "ready to land", "info"),
     ]
     assert logged == {"computer"}
+
+
+async def test_whatever_fails_in_telling_the_ground_it_is_told_and_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """GIVEN a service whose report to the ground fails once THEN that is told, and it is made again."""
+    told, again = list[str](), asyncio.Event()
+
+    class Service:
+        missions = SimpleNamespace(give=None, stopped_idle=True)
+        announcer = SimpleNamespace(notify=lambda _kind, text, _severity: told.append(text))
+
+        def request_stop(self) -> None:
+            """Nobody asks."""
+
+        async def run(self) -> Phase:
+            await asyncio.wait_for(again.wait(), 5.0)
+            return Phase.STANDBY
+
+    async def tell_ground(*_: object) -> None:
+        if told:
+            again.set()
+        raise OSError(errno.EIO, "Input/output error")
+
+    page = SimpleNamespace(served=lambda _app: nullcontext())
+    for name, stub in {
+        "open_hardware": lambda *_, **__: nullcontext(),
+        "App": lambda *_, **__: Service(),
+        "LivePage": lambda *_: page,
+        "served": lambda *_: nullcontext(),
+        "_tell_ground": tell_ground,
+    }.items():
+        monkeypatch.setattr(command, name, stub)
+    none: Any = None
+    assert await command._service(none, none, none, None) == 0
+    assert told == ["ground report lost: Input/output error"]
 
 
 TELLS = "plan: {mission: {may_arm: true}}\ncontrol: {output: landing_target}\n"

@@ -1,6 +1,8 @@
 """The desk of orders: one at a time, each answered, and a stop for whatever is under way."""
 
+import errno
 import json
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -133,6 +135,20 @@ def test_the_computer_s_state_is_a_message_that_others_read(tmp_path: Path) -> N
     assert heard.temperature_board == 61
     assert heard.ram_usage == 120 < heard.ram_total
     assert heard.storage_total[0] - heard.storage_usage[0] == pytest.approx(1000, abs=1)
+
+
+@pytest.mark.parametrize("fails", ["exists", "disk_usage"])
+def test_a_disk_that_fails_has_no_room_and_ends_no_report(
+    fails: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error", str(tmp_path))
+
+    monkeypatch.setattr(Path if fails == "exists" else shutil, fails, broken)
+    status = ComputerWatch(0.0).state(1.0, tmp_path)
+    assert status.disk_free_mb == 0.0
+    (heard,) = Codec(255).decode(Codec(1, 191).encode(ground_report(status, tmp_path, 1.7e9, 0.0)))
+    assert heard.storage_total[0] == 0xFFFFFFFF  # not known
 
 
 def test_a_log_that_loses_messages_is_no_healthy_state() -> None:
