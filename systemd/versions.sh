@@ -72,12 +72,12 @@ adopt_old_layout() {
     put_link "versions/$name" "$CURRENT"
 }
 
-# why the service must not be restarted now; nothing: it may be
+# why the service must not be restarted now, as the program of a version (else of that in use) hears it; nothing: it may be
 why_no_restart() {
     service_runs || return 0
     local told
     # 1: not healthy; it has answered all the same
-    told="$(timeout 20 "$CURRENT/.venv/bin/companion" status --json 2>&1)" || [ $? -eq 1 ] || {
+    told="$(timeout 20 "$VERSIONS/${1:-$(in_use)}/.venv/bin/companion" status --json 2>&1)" || [ $? -eq 1 ] || {
         echo "the service runs and does not answer: $(tail -n 1 <<<"$told")"
         return 0
     }
@@ -168,7 +168,7 @@ why_down() {
 # Switch to a complete version, restart a service that runs, check it, and go back if it is not well.
 # Exit code 1 of the script: it was taken back.
 activate() {
-    local name="$1" before earlier reason ran=no
+    local name="$1" before earlier reason ran=no restarts=no
     before="$(in_use)"
     earlier="$(one_before)"
     complete "$name" || fail "$name is not installed; expected one of: $(list_versions | tr '\n' ' ')"
@@ -187,13 +187,17 @@ activate() {
     fi
     service_runs && ran=yes
     trap '' HUP
-    trap 'take_back "$before" "$name" "$ran" "interrupted"' INT TERM
+    trap 'take_back "$before" "$name" "$restarts" "interrupted"' INT TERM
     # first: the way back if the power fails now
     [ -z "$before" ] || put_link "versions/$before" "$PREVIOUS"
     switch_to "$name"
     if [ "$ran" = yes ]; then
-        say "restarting the service: it stood by, disarmed"
-        reason="$(restart_is_healthy)" || take_back "$before" "$name" "$ran" "$reason"
+        # an order may have come meanwhile: the checks and the switch take seconds
+        reason="$(why_no_restart "$before")"
+        [ -z "$reason" ] || take_back "$before" "$name" "$restarts" "$reason"
+        restarts=yes
+        say "restarting the service: it stands by, disarmed"
+        reason="$(restart_is_healthy)" || take_back "$before" "$name" "$restarts" "$reason"
     fi
     trap - INT TERM
     prune
@@ -204,9 +208,15 @@ activate() {
     fi
 }
 
+# back to the version before; `restarts`: the service was restarted, and is again if it is not in flight by now
 take_back() {
-    local before="$1" name="$2" ran="$3" reason="$4"
+    local before="$1" name="$2" restarts="$3" reason="$4" flies=""
     trap - INT TERM
+    [ "$restarts" = no ] || flies="$(why_no_restart "$name")"
+    case "$flies" in
+        "" | *"does not answer"*) ;;
+        *) echo "$(basename "$0"): $name: $reason; $flies: $name stays in use" >&2; exit 1 ;;
+    esac
     if [ -z "$before" ]; then
         echo "$(basename "$0"): $name: $reason; there is no version before it to go back to" >&2
         exit 1
@@ -214,13 +224,13 @@ take_back() {
     say "$name: $reason; going back to $before"
     switch_to "$before"
     if [ -n "$earlier" ]; then put_link "versions/$earlier" "$PREVIOUS"; else rm -f "$PREVIOUS"; fi
-    if [ "$ran" = yes ]; then
+    if [ "$restarts" = yes ]; then
         reason="$(restart_is_healthy)" || {
             echo "$(basename "$0"): $before is back in use and not well either: $reason" >&2
             exit 1
         }
     fi
-    echo "$(basename "$0"): $name was taken back; $before is in use$([ "$ran" = yes ] && echo ', the service runs')" >&2
+    echo "$(basename "$0"): $name was taken back; $before is in use$([ "$restarts" = yes ] && echo ', the service runs')" >&2
     exit 1
 }
 

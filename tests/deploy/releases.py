@@ -2,6 +2,7 @@
 
 A release holds a wheel of a few lines in place of ours; its programs answer from files in the system's
 folder: `active` (the service runs), `status.json` (its answer), `starts` (the versions that were started).
+`after-switch.json` and `after-start.json` are its answers from then on, where they are there.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ STANDING_BY: Final[dict[str, Any]] = {"phase": "standby", "order": None, "armed"
 
 SYSTEMCTL: Final = """#!/bin/bash
 version="$(basename "$(readlink -f "$COMPANION_BASE/opt/companion/current")")"
+answers_as() {
+    [ ! -e "$COMPANION_BASE/$1.json" ] || mv "$COMPANION_BASE/$1.json" "$COMPANION_BASE/status.json"
+}
 start() {
     echo "$version" >>"$COMPANION_BASE/starts"
     [ ! -L "$COMPANION_BASE/opt/companion/previous" ] \
@@ -32,16 +36,19 @@ start() {
     rm -f "$COMPANION_BASE/active"
     [ ! -e "$COMPANION_BASE/opt/companion/versions/$version/configs/fault" ] || return 1
     touch "$COMPANION_BASE/active"
+    answers_as after-start
 }
 case "$*" in
     *is-active*) [ -e "$COMPANION_BASE/active" ] ;;
     *ActiveState*) [ -e "$COMPANION_BASE/active" ] && echo active || echo failed ;;
     *MainPID*) wc -l <"$COMPANION_BASE/starts" ;;
     restart*) start ;;
+    daemon-reload*) answers_as after-switch ;;
     disable*) rm -f "$COMPANION_BASE/active" ;;
 esac
 """
 PASSED_ON: Final = '#!/bin/bash\nwhile [ "$1" != -- ]; do shift; done\nshift\nexec "$@"\n'
+ANSWERS: Final = '#!/bin/sh\n[ -e "$COMPANION_BASE/active" ] && cat "$COMPANION_BASE/status.json"\n'
 PROGRAM: Final = """
 import json, os, pathlib, sys
 from companion import __version__
@@ -104,7 +111,22 @@ class System:
     def serves(self, **status: Any) -> None:
         """The service runs, and answers so."""
         (self.base / "active").touch()
-        (self.base / "status.json").write_text(json.dumps({**STANDING_BY, **status}))
+        self.will_answer("status", **status)
+
+    def will_answer(self, when: str, **status: Any) -> None:
+        """What it answers from `after-switch` or `after-start` on."""
+        (self.base / f"{when}.json").write_text(json.dumps({**STANDING_BY, **status}))
+
+    def has(self, *versions: str) -> None:
+        """Versions are laid down, without environments of their own; the first one is in use."""
+        for version in versions:
+            program = self.prefix / "versions" / version / ".venv/bin/companion"
+            program.parent.mkdir(parents=True)
+            program.write_text(ANSWERS)
+            program.chmod(0o755)
+            (self.prefix / "versions" / version / "companion.service").write_text(f"# {version}\n")
+            (self.prefix / "versions" / version / "COMPLETE").touch()
+        (self.prefix / "current").symlink_to(f"versions/{versions[0]}")
 
     @property
     def prefix(self) -> Path:

@@ -157,6 +157,30 @@ def test_in_flight_nothing_is_changed(
     assert system.in_use == "1.0"
 
 
+def test_an_order_that_comes_during_the_switch_keeps_the_service_from_being_restarted(empty: System) -> None:
+    empty.has("1.0", "1.1")
+    empty.serves()
+    empty.will_answer("after-switch", phase="descend", order="land by RC")
+    done = empty.run(SYSTEMD / "companion-rollback", "1.1")
+    assert done.returncode == 1
+    assert "the service is in descend, land by RC; going back to 1.0" in done.stdout
+    assert (empty.in_use, empty.starts, unit(empty)) == ("1.0", [], "# 1.0")
+
+
+def test_a_new_version_that_flies_already_is_not_restarted_to_take_it_back(empty: System) -> None:
+    """GIVEN an order to the new version WHEN its check is interrupted THEN it stays in use, and flies on."""
+    empty.has("1.0", "1.1")
+    empty.serves()
+    empty.will_answer("after-start", phase="descend", order="land by RC")
+    waits = empty.programs / "sleep"  # in a subshell of the script
+    waits.write_text('#!/bin/sh\nkill -TERM "$(cut -d " " -f 4 /proc/$PPID/stat)"\n')
+    waits.chmod(0o755)
+    done = empty.run(SYSTEMD / "companion-rollback", "1.1")
+    assert done.returncode == 1
+    assert "1.1: interrupted; the service is in descend, land by RC: 1.1 stays in use" in done.stderr
+    assert (empty.in_use, empty.starts, unit(empty)) == ("1.1", ["1.1"], "# 1.1")
+
+
 def test_a_service_that_runs_and_does_not_answer_is_not_restarted(system: System, tmp_path: Path) -> None:
     (system.base / "active").touch()
     done = system.run(release(tmp_path, "1.1") / "install.sh")
