@@ -97,14 +97,16 @@ unreadable() {
     runuser -u "$SERVICE_USER" -- find "$SETTINGS" ! -readable -print 2>/dev/null || true
 }
 
-# see, as the service's user, whether a version accepts the settings; older ones cannot be asked for all of it
+# see, as the service's user and in its environment, whether a version accepts the settings; older ones cannot be asked
 accepts_settings() {
-    local python="$VERSIONS/$1/.venv/bin/python"
+    local python="$VERSIONS/$1/.venv/bin/python" environment
     [ -e "$SETTINGS/companion.yaml" ] || return 0
-    local run=(runuser -u "$SERVICE_USER" -- env PYTHONDONTWRITEBYTECODE=1 "$python" -m)
-    if (cd / && "$python" -c 'import companion.tools.preflight.start_check' 2>/dev/null); then
-        (cd / && "${run[@]}" companion.tools.preflight.start_check "$SETTINGS/companion.yaml") 2>&1
-    fi
+    (cd / && "$python" -c 'import companion.tools.preflight.start_check' 2>/dev/null) || return 0
+    # a token may be in there; the lines of the unit and its drop-ins go back to systemd, which reads its own quoting
+    mapfile -t environment < <(systemctl cat companion.service 2>/dev/null | sed -nE -e ':join;/\\$/{N;s/\\\n/ /;b join}' \
+        -e 's/^[[:space:]]*(Environment(File)?)[[:space:]]*=[[:space:]]*/--property=\1=/p')
+    systemd-run --quiet --pipe --wait --collect --uid="$SERVICE_USER" "${environment[@]}" --setenv=PYTHONDONTWRITEBYTECODE=1 \
+        -- "$python" -m companion.tools.preflight.start_check "$SETTINGS/companion.yaml" 2>&1
 }
 
 # put a version in place: link, programs, unit

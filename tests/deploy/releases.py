@@ -45,7 +45,19 @@ case "$*" in
     restart*) start ;;
     daemon-reload*) answers_as after-switch ;;
     disable*) rm -f "$COMPANION_BASE/active" ;;
+    cat*) cat "$COMPANION_BASE"/etc/systemd/system/companion.service{,.d/*} ;;
 esac
+"""
+SYSTEMD_RUN: Final = """#!/bin/bash
+for word; do
+    shift
+    case "$word" in
+        --property=Environment=*) eval "export ${word#*=*=}" ;;
+        --property=EnvironmentFile=*) set -a && . "${word#*=*=}" && set +a ;;
+        --setenv=*) export "${word#*=}" ;;
+        --) exec "$@" ;;
+    esac
+done
 """
 PASSED_ON: Final = '#!/bin/bash\nwhile [ "$1" != -- ]; do shift; done\nshift\nexec "$@"\n'
 ANSWERS: Final = '#!/bin/sh\n[ -e "$COMPANION_BASE/active" ] && cat "$COMPANION_BASE/status.json"\n'
@@ -81,6 +93,7 @@ class System:
             path.mkdir(parents=True)
         for name, text in {
             "systemctl": SYSTEMCTL,
+            "systemd-run": SYSTEMD_RUN,
             "runuser": PASSED_ON,
             **dict.fromkeys(("groupadd", "useradd", "journalctl"), "#!/bin/sh\n"),
         }.items():

@@ -4,6 +4,7 @@ import fcntl
 import re
 import shutil
 from pathlib import Path
+from typing import Final
 
 import pytest
 
@@ -179,6 +180,42 @@ def test_a_new_version_that_flies_already_is_not_restarted_to_take_it_back(empty
     assert done.returncode == 1
     assert "1.1: interrupted; the service is in descend, land by RC: 1.1 stays in use" in done.stderr
     assert (empty.in_use, empty.starts, unit(empty)) == ("1.1", ["1.1"], "# 1.1")
+
+
+CHECKS: Final = """#!/bin/sh
+[ "$1" = -c ] || [ "$COMPANION_SERVE_TOKEN $OTHER" = "two words 3" ] || {
+    echo "no token, found '$COMPANION_SERVE_TOKEN'" >&2
+    exit 2
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ('Environment="COMPANION_SERVE_TOKEN=two words" OTHER=3', 0),
+        ('Environment = \\\n  "COMPANION_SERVE_TOKEN=two words" \\\n OTHER=3', 0),
+        ("EnvironmentFile=ROOT/token", 0),
+        ("# Environment=COMPANION_SERVE_TOKEN=x", 2),
+    ],
+)
+def test_settings_are_checked_in_the_environment_that_the_service_has(
+    line: str, code: int, empty: System
+) -> None:
+    empty.has("1.0", "1.1")
+    checks = empty.prefix / "versions/1.1/.venv/bin/python"
+    checks.write_text(CHECKS)
+    checks.chmod(0o755)
+    (empty.base / "etc/companion/companion.yaml").touch()
+    (empty.base / "token").write_text('COMPANION_SERVE_TOKEN="two words"\nOTHER=3\n')
+    unit_file = empty.base / "etc/systemd/system/companion.service"
+    unit_file.write_text("[Service]\nEnvironment=OTHER=2\n")
+    (unit_file.parent / "companion.service.d").mkdir()
+    own = unit_file.parent / "companion.service.d/token.conf"
+    own.write_text(f"[Service]\n{line.replace('ROOT', str(empty.base))}\n")
+    done = empty.run(SYSTEMD / "companion-rollback", "1.1")
+    assert (done.returncode, empty.in_use) == ((0, "1.1") if code == 0 else (2, "1.0")), done.stderr
+    assert ("1.1 does not start with these settings" in done.stderr) is (code != 0)
 
 
 def test_a_service_that_runs_and_does_not_answer_is_not_restarted(system: System, tmp_path: Path) -> None:
