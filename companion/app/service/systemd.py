@@ -38,23 +38,18 @@ class ServiceNotifier:
         self._send("WATCHDOG=1")
 
     def status(self, text: str) -> None:
-        """One line for `systemctl status`."""
-        self._send(f"STATUS={text}")
+        """For `systemctl status`, as one line: the protocol's next line is another word to the manager."""
+        self._send(f"STATUS={' '.join(text.splitlines())}")
 
     def stopping(self) -> None:
         """The end has begun."""
         self._send("STOPPING=1")
 
     def _send(self, line: str) -> None:
-        if self._socket is None:
-            return
-        try:
-            self._socket.sendto(line.encode(), self._address)
-        except BlockingIOError:
-            pass  # it has not read the last ones yet
-        except OSError:
-            # a manager that went away must not take the vehicle with it
-            self._socket = None
+        if self._socket is not None:
+            # a manager that has not read the last ones yet, or is away now, hears the next
+            with suppress(OSError):
+                self._socket.sendto(line.encode(errors="replace"), self._address)
 
 
 @dataclass(frozen=True, slots=True)

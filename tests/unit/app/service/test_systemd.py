@@ -63,6 +63,25 @@ def test_a_manager_that_went_away_is_no_fault_of_the_flight(
     assert capfd.readouterr() == ("", "")
 
 
+def test_one_that_could_not_be_sent_does_not_end_the_watchdog_s(
+    manager: socket.socket, tmp_path: Path
+) -> None:
+    notifier, away = ServiceNotifier(), tmp_path / "away"
+    (tmp_path / "notify").rename(away)
+    notifier.alive()
+    away.rename(tmp_path / "notify")
+    notifier.alive()
+    assert manager.recv(1000) == b"WATCHDOG=1"
+
+
+@pytest.mark.parametrize("text", ["refused\nSTOPPING=1", "refused\r\nSTOPPING=1"])
+def test_no_text_is_more_than_one_line_of_the_protocol(text: str, manager: socket.socket) -> None:
+    notifier = ServiceNotifier()
+    notifier.status(text)
+    notifier.status("lost: \ud800")  # as a file's name may read that is no UTF-8
+    assert [manager.recv(1000) for _ in range(2)] == [b"STATUS=refused STOPPING=1", b"STATUS=lost: ?"]
+
+
 def test_without_a_manager_nothing_is_opened_or_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[object] = []
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
