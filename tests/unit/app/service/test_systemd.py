@@ -1,11 +1,13 @@
 """What systemd is told, over the socket that it names."""
 
+import re
 import shutil
 import socket
 import subprocess
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
+from typing import Final
 
 import pytest
 
@@ -131,6 +133,29 @@ def test_it_is_started_where_it_may_write() -> None:
     unit = settings_of_the_unit()
     assert unit["WorkingDirectory"] == f"%S/{unit['StateDirectory']}"
     assert unit["ProtectSystem"] == "strict"
+
+
+# the kernel's groups of devices (/proc/devices): the module that makes each, or none, where it is built in
+MODULES: Final = {
+    "ttyACM": "cdc_acm",
+    "ttyUSB": "usbserial",
+    "i2c": "i2c_dev",
+    "video4linux": "videodev",
+    "media": "mc",
+    "spi": "spidev",
+    **dict.fromkeys(("ttyAMA", "ttyS", "dma_heap", "gpiochip")),
+}
+
+
+def test_every_group_of_devices_is_there_before_the_list_of_those_allowed_is_resolved() -> None:
+    # systemd.resource-control(5): a group that the kernel has not yet is left out, until the next start
+    unit = (FOLDER / "companion.service").read_text()
+    groups = re.findall(r"^DeviceAllow=char-(\S+) rw$", unit, re.MULTILINE)
+    assert set(groups) == set(MODULES)
+    wanted = {f"modprobe@{module}.service" for module in MODULES.values() if module}
+    for key in ("Wants", "After"):
+        named = " ".join(re.findall(rf"^{key}=(.*)$", unit, re.MULTILINE)).split()
+        assert wanted <= set(named)
 
 
 def test_the_service_comes_before_other_programs_and_not_before_the_kernels() -> None:
