@@ -83,7 +83,7 @@ class PymavlinkActions:
         return self._session.state.mode
 
     async def perform(self, action: Action, asked_in: str | None = None) -> ActionResult:
-        """Do one thing; wait for the answer, not for the vehicle to be there. A refusal is a result.
+        """Do one thing; wait for the answer, not for the vehicle to be there. Whatever fails, it is a result.
 
         `asked_in`: the mode in which it was asked for, if that was not just now: a change since then counts.
         """
@@ -95,9 +95,11 @@ class PymavlinkActions:
         finally:
             self._under_way.remove(work)
             work.cancel()  # when it is we who are cancelled; nothing once it is done
-        if work.cancelled():
+        failure = None if work.cancelled() else work.exception()
+        if work.cancelled() or failure is not None:
+            text = WITHDRAWN if failure is None else f"{type(failure).__name__}: {failure}"
             in_doubt = True if self.dialogue.left > left_before else None
-            return ActionResult(self._clock.now_s(), action.kind, False, WITHDRAWN, in_doubt)
+            return ActionResult(self._clock.now_s(), action.kind, False, text, in_doubt)
         return work.result()
 
     def cancel(self) -> None:

@@ -155,6 +155,20 @@ def test_an_autopilot_that_does_not_answer_is_a_refusal_in_time() -> None:
     assert (result.accepted, result.text) == (False, "the autopilot does not answer")
 
 
+def test_an_action_that_fails_by_an_exception_has_a_result_and_the_next_is_performed() -> None:
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        async def fails(_action: Action, _asked_in: str) -> None:
+            raise RuntimeError("library")
+
+        actions._handlers[ActionKind.LAND] = fails
+        return [await actions.perform(Action(kind)) for kind in (ActionKind.LAND, ActionKind.HOLD)]
+
+    failed, held = fly(FakeAutopilot(), story)
+    assert (failed.kind, failed.accepted, failed.text) == (ActionKind.LAND, False, "RuntimeError: library")
+    assert failed.in_doubt is None  # nothing had left
+    assert held.accepted
+
+
 def test_an_accepted_mode_that_does_not_come_is_a_refusal() -> None:
     [result] = perform(FakeAutopilot(keeps_mode=True), Action(ActionKind.TAKE_CONTROL))
     assert (result.accepted, result.text) == (False, "accepted, but not OFFBOARD")
