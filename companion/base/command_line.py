@@ -265,6 +265,6 @@ def say(console: Console, *lines: str) -> None:
 
 
 def print_error(program: str, text: str, code: int) -> int:
-    """Say in one line on standard error what went wrong; returns the exit code."""
-    print(f"{program}: {text}", file=sys.stderr)
+    """Say in one line on standard error what went wrong, whatever is quoted in it; returns the exit code."""
+    print(f"{program}: {' '.join(text.splitlines())}", file=sys.stderr)
     return code

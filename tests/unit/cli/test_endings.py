@@ -142,6 +142,7 @@ def ending(problem: BaseException, capsys: pytest.CaptureFixture[str]) -> tuple[
     ("problem", "code", "said"),
     [
         (ConfigError("x.yaml: wrong"), 2, "prog: x.yaml: wrong\n"),
+        (ConfigError("x.yaml: unknown key 'a\nb'"), 2, "prog: x.yaml: unknown key 'a b'\n"),
         (OwnError("no luck"), 7, "prog: own: no luck\n"),
         (KeyboardInterrupt(), 130, "prog: interrupted\n"),
         (typer.Abort(), 130, "prog: interrupted\n"),
