@@ -11,6 +11,7 @@ that.
 
 import math
 import struct
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -57,6 +58,10 @@ _VERSION: Final = b"\x0a\x04"
 _BY_KEYS: Final = b"\x06\x8a"  # CFG-VALSET
 _REFUSED_FIX: Final = frozenset(FIX_MESSAGES) | frozenset(PVT_MESSAGE)
 _PARTS: Final = FIX_MESSAGES | PVT_MESSAGE | TRUST_MESSAGES
+# what makes a fix, in each dialect
+_PVT_FIX: Final = frozenset(PVT_MESSAGE.values())
+_SOL_FIX: Final = frozenset(FIX_MESSAGES.values())
+_NMEA_FIX: Final = frozenset({"RMC", "GGA"})
 # NAV-PVT grew from 84 bytes (u-blox 7) to 92 (u-blox 8 on)
 _LENGTHS: Final = {
     "PVT": (84, 92),
@@ -83,6 +88,17 @@ class _Epoch:
     epoch_s: float = -1.0
     began_s: float = 0.0
     parts: dict[str, Any] = field(default_factory=dict)
+    fixed: bool = False
+
+    def take(self, wanted: AbstractSet[str]) -> dict[str, Any] | None:
+        """Its parts, as soon as those wanted are there, and once.
+
+        A receiver that has hung may repeat itself: a time that stands still is no new fix.
+        """
+        if self.fixed or not self.parts.keys() >= wanted:
+            return None
+        self.fixed = True
+        return self.parts
 
 
 class Neo6m:
@@ -110,7 +126,6 @@ class Neo6m:
         self._ubx_seen = self._nmea_seen = False  # whole epochs
         self._ubx_epoch_s = -math.inf
         self._epoch = _Epoch()
-        self._fixed_epoch_s = -1.0
         self._status_ok = True
         self._dop: float | None = None  # horizontal
         self._dop_s = -math.inf
@@ -284,28 +299,17 @@ class Neo6m:
         self._epoch.parts[part] = parsed
         return self._fix_of_epoch() or ended
 
-    def _fix_of_pvt(self) -> GpsFix | None:
-        epoch = self._epoch
-        if epoch.epoch_s == self._fixed_epoch_s:
-            return None
-        self._fixed_epoch_s, self._ubx_epoch_s = epoch.epoch_s, epoch.began_s
-        self._ubx_seen = True
-        pvt = epoch.parts.pop("PVT")
-        valid = bool(pvt.gnssFixOk)
-        return self._trusted(fix_from_pvt(self._time_s(self._ubx_clock, epoch, valid), pvt), epoch.began_s)
-
     def _fix_of_epoch(self) -> GpsFix | None:
         epoch = self._epoch
-        if "PVT" in epoch.parts:
-            return self._fix_of_pvt()
-        # a receiver that has hung may repeat itself: a time that stands still is no new fix
-        if len(epoch.parts) < len(FIX_MESSAGES) or epoch.epoch_s == self._fixed_epoch_s:
+        parts = epoch.take(_PVT_FIX) or epoch.take(_SOL_FIX)
+        if parts is None:
             return None
-        self._fixed_epoch_s = epoch.epoch_s
         self._ubx_seen = True
         self._ubx_epoch_s = epoch.began_s
+        if (pvt := parts.get("PVT")) is not None:
+            time_s = self._time_s(self._ubx_clock, epoch, bool(pvt.gnssFixOk))
+            return self._trusted(fix_from_pvt(time_s, pvt), epoch.began_s)
         self._sol_only_epochs = 0
-        parts, epoch.parts = epoch.parts, {}
         self._separation_m = (parts["POSLLH"].height - parts["POSLLH"].hMSL) / 1000.0
         time_s = self._time_s(self._ubx_clock, epoch, has_fix(parts["SOL"]))
         fix = fix_from_ubx(time_s, parts["POSLLH"], parts["VELNED"], parts["SOL"])
@@ -359,10 +363,10 @@ class Neo6m:
 
     def _fix_of_sentences(self) -> GpsFix | None:
         epoch = self._nmea
-        if len(epoch.parts) < 2 or not self._nmea_3d:
+        parts = epoch.take(_NMEA_FIX) if self._nmea_3d else None
+        if parts is None:
             return None
         self._nmea_seen = True
-        parts, epoch.parts = epoch.parts, {}
         time_s = self._time_s(self._nmea_clock, epoch, parts["RMC"].status == "A")
         fix = fix_from_nmea(time_s, parts["RMC"], parts["GGA"])
         hdop = parts["GGA"].HDOP

@@ -316,10 +316,11 @@ def test_a_lost_answer_is_asked_for_again_and_silence_is_reported() -> None:
     receiver = Neo6m(CONFIG)
     first = receiver.pending(0.0)
     for k in range(4):
-        receiver.feed(rmc() + gga(), 0.9 + k)
+        second = f"12000{k}.00"
+        receiver.feed(rmc(second) + gga(second), 0.9 + k)
         assert receiver.pending(1.0 + k) == first
         assert receiver.problem is None
-    receiver.feed(rmc() + gga(), 5.9)
+    receiver.feed(rmc("120005.00") + gga("120005.00"), 5.9)
     assert receiver.pending(6.0) == first
     assert receiver.problem == f"NEO-6M: no answer to CFG-PRT: {UNHEARD}"
     receiver.feed(acknowledge(first), 6.1)

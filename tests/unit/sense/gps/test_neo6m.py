@@ -362,6 +362,16 @@ def test_a_receiver_that_repeats_one_epoch_for_ever_gives_one_fix_and_is_reporte
     assert line.driver.problem == "NEO-6M: no fix"
 
 
+def test_one_that_hangs_over_its_nmea_gives_one_fix_and_is_reported() -> None:
+    receiver = Neo6m(CONFIG)
+    found = []
+    for second in range(30):
+        found += receiver.feed(rmc() + gga(), 100.0 + second)
+        receiver.pending(100.0 + second)
+    assert len(found) == 1
+    assert "no fix" in (receiver.problem or "")
+
+
 @pytest.mark.parametrize("length", [0, 4, 8, 27, 29, 51])
 def test_a_whole_message_of_the_wrong_length_is_passed_over(length: int) -> None:
     line = EpochLine()
