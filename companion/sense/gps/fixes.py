@@ -19,7 +19,7 @@ _UNKNOWN_SPEED_M_S: Final = 50.0  # accuracy where none is given
 _GEOID_UNCERTAINTY_M: Final = 50.0  # sea level is within 110 m of the ellipsoid
 _SMALLEST_RADIUS_M: Final = 6.3e6
 _CLOCK_DRIFT: Final = 50e-6
-_CLOCK_JUMP_S: Final = 1.0
+_DAY_S: Final = 86400.0  # where a time of day turns over, and a time of week too
 _LATE_S: Final = 0.03
 _LATE_EPOCHS: Final = 8
 
@@ -28,28 +28,29 @@ class EpochClock:
     """The receiver's time scale on the app's clock.
 
     Messages are sent and read late now and then, never early: the smallest delay seen is the one that
-    counts, and it is let grow by the drift that two quartz clocks can have. Only epochs with a fix may come
-    here: before that the receiver's clock is its own quartz, and steps.
+    counts, and it is let grow by the drift that two quartz clocks can have. So what comes early shows at once
+    that the receiver has set its clock; what comes late only when it stays as late: what was held up, by
+    whomever, comes in a heap, each epoch less late than the one before. Only epochs with a fix may come here:
+    before that the receiver's clock is its own quartz, and steps.
     """
 
     def __init__(self) -> None:
-        self._offset_s: float | None = None
-        self._last_epoch_s = 0.0
+        self._offset_s = math.inf
+        self._epoch_s = 0.0  # the last one, counted on over the turn of day and week
         self._late_s: list[float] = []
 
     def local_s(self, epoch_s: float, began_s: float) -> float:
         """App time of the receiver's `epoch_s`, whose messages began at `began_s`, plus the least delay."""
-        offset_s = began_s - epoch_s
-        if self._offset_s is None or abs(offset_s - self._offset_s) > _CLOCK_JUMP_S:
-            self._offset_s = offset_s
-        else:
-            grown_s = self._offset_s + _CLOCK_DRIFT * abs(epoch_s - self._last_epoch_s)
-            self._late_s = [*self._late_s, offset_s] if offset_s > grown_s + _LATE_S else []
-            # all of many late alike: the receiver has set its clock
-            stepped = len(self._late_s) >= _LATE_EPOCHS
-            self._offset_s = min(self._late_s) if stepped else min(offset_s, grown_s)
-        self._last_epoch_s = epoch_s
-        return epoch_s + self._offset_s
+        step_s = math.remainder(epoch_s - self._epoch_s, _DAY_S)
+        self._epoch_s += step_s
+        offset_s = began_s - self._epoch_s
+        grown_s = self._offset_s + _CLOCK_DRIFT * abs(step_s)
+        if self._late_s and offset_s < min(self._late_s) - _LATE_S:
+            self._late_s = []  # still catching up
+        self._late_s = [*self._late_s, offset_s] if offset_s > grown_s + _LATE_S else []
+        stepped = len(self._late_s) >= _LATE_EPOCHS
+        self._offset_s = min(self._late_s) if stepped else min(offset_s, grown_s)
+        return self._epoch_s + self._offset_s
 
 
 def fix_from_ubx(time_s: float, posllh: Any, velned: Any, sol: Any) -> GpsFix | None:

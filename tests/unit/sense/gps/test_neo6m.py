@@ -115,8 +115,38 @@ def test_epoch_clock_follows_drift_and_jumps() -> None:
     for k in range(3000):
         local_s = clock.local_s(0.2 * k, 5.0 + 0.2 * k * (1.0 + 30e-6))
     assert local_s == pytest.approx(5.0 + 0.2 * 2999 * (1.0 + 30e-6), abs=1e-3)
-    # the week rolls over: the time of week starts at nought, our clock does not
-    assert clock.local_s(0.0, 700.0) == 700.0
+    # the receiver sets its clock ahead: that is no lateness, and shows at once
+    assert clock.local_s(10_000.0, 700.0) == 700.0
+
+
+@pytest.mark.parametrize("turn_s", [86_400, 604_800])
+def test_epoch_clock_goes_on_over_the_turn_of_day_and_week(turn_s: int) -> None:
+    clock = EpochClock()
+    times = [clock.local_s((turn_s - 3 + k) % turn_s, 100.0 + k + 0.02 * (k == 3)) for k in range(6)]
+    assert np.diff(times) == pytest.approx(np.ones(5), abs=1e-3)
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 5.0, 10.0])
+@pytest.mark.parametrize("held_s", [0.5, 0.9, 1.5, 2.5, 6.0])
+def test_what_was_held_up_comes_in_a_heap_and_is_as_old_as_it_is(held_s: float, rate_hz: float) -> None:
+    """Each epoch of the heap takes 12 ms on the line, from the end of the hold-up on or back from it."""
+    clock, period_s = EpochClock(), 1.0 / rate_hz
+    for k in range(100):
+        measured_s = k * period_s
+        held_until_s = 20.0 * period_s + held_s
+        heaped = max(0.0, held_until_s - measured_s) if k > 20 else 0.0
+        began_s = held_until_s - 0.012 * rate_hz * heaped if heaped else measured_s
+        assert clock.local_s(measured_s, began_s) == pytest.approx(measured_s, abs=0.001)
+
+
+@pytest.mark.parametrize("scatter_s", [0.0, 0.01, 0.2])
+def test_a_clock_set_back_by_seconds_is_followed_once_it_is_sure(scatter_s: float) -> None:
+    clock, rng = EpochClock(), np.random.default_rng(7)
+    for k in range(20):
+        clock.local_s(100.0 + 0.2 * k, 10.0 + 0.2 * k)
+    for k in range(20, 80):
+        local_s = clock.local_s(97.0 + 0.2 * k, 10.0 + 0.2 * k + scatter_s * rng.exponential())
+    assert local_s == pytest.approx(10.0 + 0.2 * 79, abs=0.1 * scatter_s + 0.001)
 
 
 # ---------------------------------------------------------------- what a line does to bytes
