@@ -12,6 +12,7 @@ from companion.base.formats.frame_stream import FrameStream
 from companion.base.messages import Frame
 from companion.config import CaptureConfig, ConfigError
 from companion.sense.camera.reader import Newest, ReadBack, check_size, grey
+from companion.sense.camera.rhythm import FrameRhythm
 
 # a frame from another process that is further off than this was stamped by another clock than ours
 EARLIEST_FOREIGN_S: Final = 0.05
@@ -31,6 +32,7 @@ class SocketCamera:
         self._unstamped_latency_s = unstamped_latency_s
         self._clock = clock
         self._newest = Newest()
+        self._rhythm = FrameRhythm(camera.rate_hz)
         self._task = asyncio.create_task(self._receive(), name="frames from the socket")
 
     @classmethod
@@ -83,6 +85,8 @@ class SocketCamera:
                 check_size(header.width_px, header.height_px, self._camera)
                 image = await self._stream.read_image(header)
                 received_s = self._clock.now_s()
+                if header.time_s is None and not self._rhythm.in_time(header.sequence, received_s):
+                    continue
                 try:
                     time_s = self._exposure_s(header, received_s)
                 except ConfigError as error:

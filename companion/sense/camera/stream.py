@@ -5,7 +5,8 @@
 
 Its time stamps. A stream has none of the exposure: its own count from where its sender began. A frame counts
 as exposed `unstamped_latency_s` before it has been decoded, all of sensor, encoder, network and decoder in
-one. `calibrate-mount camera` measures what that is off by (`camera_time_offset_s`).
+one. `calibrate-mount camera` measures what that is off by (`camera_time_offset_s`). A frame that comes later
+than the others' rhythm has it (`rhythm`) is passed over: the link has stalled, and it is older than that.
 
 No frame is queued here: one decoding thread (FFmpeg's threads hold back a frame each), no demuxer's buffer,
 and every frame is read as it comes. A host that is not there ends the opening in a second, one that stalls
@@ -34,6 +35,7 @@ from companion.base.clock import Clock
 from companion.base.errors import DeviceMissing
 from companion.config import CaptureConfig, ConfigError, without_password
 from companion.sense.camera.reader import ReadBack, Shot, check_size, grey
+from companion.sense.camera.rhythm import FrameRhythm
 from companion.sense.camera.v4l2 import Capture
 
 STREAM_FORM: Final = re.compile(
@@ -68,6 +70,7 @@ class StreamDevice:
         self._camera, self._latency_s, self._clock = camera, latency_s, clock
         self._shown = without_password(spec)
         self._arrivals_s: list[float] = []
+        self._rhythm, self._number = FrameRhythm(camera.rate_hz), 0
         self.notes: deque[str] = deque()
         self.read_back = ReadBack()
         form = STREAM_FORM.fullmatch(spec)
@@ -78,12 +81,16 @@ class StreamDevice:
             self._capture = self._open_pipeline(form["pipeline"])
 
     def read(self) -> Shot:
-        good, image = self._capture.read()
-        received_s = self._clock.now_s()
-        if not good or image is None:
-            raise OSError("the stream gives no frames any more: its server closed it, or stalls")
-        check_size(image.shape[1], image.shape[0], self._camera)
-        self._note_rhythm(received_s)
+        in_time = False
+        while not in_time:
+            good, image = self._capture.read()
+            received_s = self._clock.now_s()
+            if not good or image is None:
+                raise OSError("the stream gives no frames any more: its server closed it, or stalls")
+            check_size(image.shape[1], image.shape[0], self._camera)
+            self._note_rhythm(received_s)
+            self._number += 1
+            in_time = self._rhythm.in_time(self._number, received_s)
         return Shot(received_s - self._latency_s, received_s, grey(image))
 
     def close(self) -> None:

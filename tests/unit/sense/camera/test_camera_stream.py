@@ -96,6 +96,10 @@ class ScriptedCapture:
     def now_s(self) -> float:
         return self._now_s
 
+    @property
+    def left(self) -> int:
+        return len(self._script)
+
     def isOpened(self) -> bool:
         return True
 
@@ -150,6 +154,21 @@ def test_what_was_queued_as_a_stream_opened_is_passed_over(opened: Opened) -> No
     device = opened(capture)
     before_s = capture.now_s()
     assert device.read().received_s == pytest.approx(before_s + 1 / 30)
+
+
+def test_what_a_link_held_up_is_passed_over(opened: Opened) -> None:
+    """A stall of 0.8 s, then the pictures of meanwhile, 5 ms each; the last of them is in time again."""
+    script = [(1 / 30, True)] * 60 + [(0.8, True)] + [(0.005, True)] * 26 + [(1 / 30, True)] * 20
+    capture, count = ScriptedCapture(script.copy()), len(script)
+    device = opened(capture)
+    errors_s = []
+    while script_left := capture.left:
+        shot = device.read()
+        made_s = 100.0 + (count - capture.left) / 30
+        errors_s.append(shot.time_s + LATENCY_S - made_s)
+        assert capture.left < script_left
+    assert len(errors_s) > 60
+    assert max(map(abs, errors_s)) < 0.035
 
 
 def test_the_packet_that_is_probed_of_an_rtsp_stream_is_kept(opened: Opened) -> None:

@@ -124,6 +124,31 @@ async def test_a_frame_without_a_time_is_as_old_as_the_settings_say(
     assert frame.time_s == pytest.approx(frame.received_s - 0.03)
 
 
+async def test_frames_without_a_time_that_were_held_up_are_passed_over(
+    tmp_path: Path, camera: CameraConfig
+) -> None:
+    """A line that carries nothing for 0.6 s, and then all of it."""
+    frames = [pack_frame(np.zeros((480, 640), np.uint8), number, None) for number in range(45)]
+    began_s = Clock().now_s()
+
+    async def talk(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        for number, frame in enumerate(frames):
+            leaves = number if number < 12 else max(number, 30)
+            await asyncio.sleep(max(0.0, began_s + leaves / 30 - Clock().now_s()))
+            writer.write(frame)
+            await writer.drain()
+
+    server = await asyncio.start_unix_server(talk, tmp_path / "frames")
+    source = await open_camera(f"socket:{tmp_path / 'frames'}", camera, unstamped_latency_s=0.03)
+    errors_s: dict[int, float] = {}
+    while max(errors_s, default=0) < 40:
+        frame = await asyncio.wait_for(source.next(), 5.0)
+        errors_s[frame.sequence] = frame.time_s + 0.03 - (began_s + frame.sequence / 30)
+    source.close()
+    server.close()
+    assert max(errors_s.values()) < min(errors_s.values()) + 0.1
+
+
 @pytest.mark.parametrize("off_s", [-60.0, 3600.0])
 async def test_another_clock_than_ours_is_reported(
     off_s: float, tmp_path: Path, camera: CameraConfig
