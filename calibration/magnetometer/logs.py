@@ -7,11 +7,13 @@ What is in them has been through a calibration as often as not:
     PX4         sensor_mag of a .ulg is raw, in the compass's axes; vehicle_magnetometer, sensor_combined and
                 HIGHRES_IMU are calibrated, in body axes; the magnetometer in RAW_IMU and SCALED_IMU is raw
     ours        body axes, by the flight's own settings; turned back into the sensor's axes, and a calibration
-                that was applied is taken off again
+                that was applied, as the log holds it, is taken off again
 """
 
 import contextlib
 import io
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,8 +24,8 @@ from calibration.magnetometer.recording import MagnetometerRecording, onboard_of
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample
-from companion.config import CompanionConfig, ConfigError
-from companion.config.magnetometer import load_magnetometer_calibration
+from companion.config import CompanionConfig, ConfigError, validate_recorded
+from companion.config.magnetometer import MagnetometerCalibration
 from companion.flightlog.replay.dataflash import hand_out
 from companion.flightlog.replay.flight_record import SECONDS_PER_YEAR, UT_PER, RecordingPlace
 from companion.flightlog.replay.mcap_log import read_mcap
@@ -238,7 +240,7 @@ def read_own_log(path: Path) -> MagnetometerRecording:
     """Read a flight of ours.
 
     Raises:
-        ConfigError: unreadable, no magnetometer in it, or its calibration is not at hand.
+        ConfigError: unreadable, no magnetometer in it, or not the calibration that it was flown with.
     """
     record = read_mcap(path)
     items = [event.item for event in record.events]
@@ -259,14 +261,27 @@ def read_own_log(path: Path) -> MagnetometerRecording:
         recording.body_from_sensor = body_from_sensor = mounting_matrix(config.sense.imu.body_from_sensor_deg)
         recording.raw = body @ body_from_sensor
         recording.force = None if force is None else force @ body_from_sensor
-    return _uncalibrated(recording, config)
+    return _uncalibrated(recording, config, record.settings)
 
 
-def _uncalibrated(recording: MagnetometerRecording, config: CompanionConfig) -> MagnetometerRecording:
+def _uncalibrated(
+    recording: MagnetometerRecording, config: CompanionConfig, recorded: Mapping[str, str]
+) -> MagnetometerRecording:
+    """Without the calibration that was applied: the log's own copy, for the file may be another by now."""
     settings = config.sense.imu if recording.sensor == "mpu9250" else config.sense.autopilot
-    if settings.magnetometer_calibration is not None:
-        key = f"{recording.source}: flown with a calibration"
-        applied = load_magnetometer_calibration(settings.magnetometer_calibration, recording.sensor, key)
+    name = settings.magnetometer_calibration
+    if name is not None:
+        if "magnetometer" not in recorded:
+            raise ConfigError(
+                f"{recording.source}: flown with the calibration {name}, which is not in the log; expected a "
+                "flight without one, or the log of a version that records it"
+            )
+        applied = validate_recorded(
+            MagnetometerCalibration,
+            json.loads(recorded["magnetometer"]),
+            f"{recording.source}: settings: magnetometer",
+            recording.notes,
+        )
         recording.raw = applied.undo(recording.raw)
-        recording.notes.append(f"{settings.magnetometer_calibration}, which it was flown with, was taken off")
+        recording.notes.append(f"{name}, as it was flown with, was taken off")
     return recording

@@ -22,7 +22,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray, vector3
 from companion.base.messages import ImuSample, MagSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, VehicleConfig, find_file, load_model
-from companion.config.magnetometer import Sensor
+from companion.config.magnetometer import MagnetometerCalibration, Sensor
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Codec, mavlink
 from companion.pad import load_pad
@@ -440,10 +440,16 @@ def test_a_dataflash_logs_own_offsets_are_taken_off(tmp_path: Path) -> None:
     assert "COMPASS_OFS_X" in calibrated(recording).parameters
 
 
-def write_flight(folder: Path, settings: CompanionConfig, field: FloatArray) -> Path:
+def write_flight(
+    folder: Path,
+    settings: CompanionConfig,
+    field: FloatArray,
+    applied: MagnetometerCalibration | None = None,
+) -> Path:
     log = FlightLog(folder, start_unix_s=1.7e9)
     vehicle = load_model(VehicleConfig, find_file("vehicles", "x500"))
-    log.write_settings(config=settings, vehicle=vehicle, pad=load_pad(settings.pad))
+    used = {} if applied is None else {"magnetometer": applied}
+    log.write_settings(config=settings, vehicle=vehicle, pad=load_pad(settings.pad), **used)
     for k, row in enumerate(field.tolist()):
         log.write("imu", ImuSample(0.01 * k, (0.0,) * 3, (0.0, 0.0, -9.8), 20.0), 0.01 * k)
         log.write("mag", MagSample(0.01 * k, vector3(row)), 0.01 * k)
@@ -473,10 +479,22 @@ def test_a_flight_with_a_calibration_is_read_as_if_without(tmp_path: Path) -> No
     file = tmp_path / "applied.yaml"
     file.write_text(applied.model_dump_json())
     settings = with_calibration("autopilot", file)
-    path = write_flight(tmp_path / "flight", settings, applied.apply(CASE.raw))
+    path = write_flight(tmp_path / "flight", settings, applied.apply(CASE.raw), applied)
+    assert read_log(path).raw == pytest.approx(CASE.raw)
+    # by now the file of that name holds another one, or is gone: the log knows what it was
+    other = applied.model_copy(update={"hard_iron": (30.0, -20.0, 10.0)})
+    file.write_text(other.model_dump_json())
     assert read_log(path).raw == pytest.approx(CASE.raw)
     file.unlink()
-    with pytest.raises(ConfigError, match=r"applied\.yaml: cannot be read"):
+    assert read_log(path).raw == pytest.approx(CASE.raw)
+
+
+def test_a_flight_whose_log_lacks_its_calibration_is_refused(tmp_path: Path) -> None:
+    applied = calibrated(MagnetometerRecording("x", "autopilot", CASE.raw)).file
+    file = tmp_path / "applied.yaml"
+    file.write_text(applied.model_dump_json())
+    path = write_flight(tmp_path / "flight", with_calibration("autopilot", file), applied.apply(CASE.raw))
+    with pytest.raises(ConfigError, match=r"applied\.yaml, which is not in the log"):
         read_log(path)
 
 
