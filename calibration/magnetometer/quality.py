@@ -79,9 +79,9 @@ Finding = tuple[bool, str]
 def _coverage(figures: Figures) -> Iterator[Finding]:
     if figures.samples < LEAST_SAMPLES:
         yield True, f"{figures.samples} samples; expected {LEAST_SAMPLES} or more"
-    if figures.coverage < WHOLE:
+    if not figures.coverage >= WHOLE:
         text = f"{figures.coverage:.0%} of the sphere is covered; expected {WHOLE:.0%}"
-        yield figures.coverage < LEAST_COVERAGE, f"{text}; next: {figures.next_turn}"
+        yield not figures.coverage >= LEAST_COVERAGE, f"{text}; next: {figures.next_turn}"
 
 
 def _fit(fit: EllipsoidFit, figures: Figures) -> list[Finding]:
@@ -114,10 +114,10 @@ def _alignment(figures: Figures) -> Iterator[Finding]:
 
 
 def _above(bound: Bound, value: float, text: str) -> list[Finding]:
-    """A finding, if the value is above a bound; a text without a format of its own gets per cents."""
+    """A finding, unless the value is within the bounds; a text without a format of its own gets per cents."""
     if value <= bound.usable:
         return []
-    refused = value > bound.refused
+    refused = not value <= bound.refused  # what is no number is within no bound
     limit = bound.refused if refused else bound.usable
     form = "{:.1%}" if "{}" in text else text[text.index("{") : text.index("}") + 1]
     return [(refused, f"{text.replace('{}', form).format(value)}; expected {form.format(limit)} or less")]
@@ -156,10 +156,13 @@ class AxisMisalignment:
 
 
 def calm(force: FloatArray) -> BoolArray:
-    """Mask (n,) of the specific forces (n, 3) that are about as large as gravity (the median)."""
+    """Mask (n,) of the specific forces (n, 3) that are about as large as gravity (the median).
+
+    None of them are if that is nought: an accelerometer that measures nothing shows no down.
+    """
     size = np.linalg.norm(force, axis=1)
     middle = np.nanmedian(size)
-    return np.asarray(np.abs(size - middle) <= _CALM_SHARE * middle)
+    return np.asarray(np.abs(size - middle) < _CALM_SHARE * middle)
 
 
 def dip_of(directions: FloatArray, force: FloatArray) -> Dip | None:

@@ -1,5 +1,6 @@
 """The ellipsoid fit on made-up truth: unbiased, honest about its uncertainty, not carried away."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -175,6 +176,15 @@ def test_the_dip_and_the_accelerometers_axes_are_found() -> None:
     assert align(directions[:10], case.force[:10]) is None
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_accelerometer_that_measures_nothing_shows_no_down() -> None:
+    case = turned(4, samples=300, half=False, soft_iron=0.0)
+    directions = (case.raw - case.centre) / np.linalg.norm(case.raw - case.centre, axis=1)[:, None]
+    for force in (np.zeros_like(case.force), case.force * (np.arange(300) < 100)[:, None]):
+        assert dip_of(directions, force) is None
+        assert align(directions, force) is None
+
+
 # ---------------- Each reason for a refusal, and what is refused without a fit
 
 GOOD_FIT = EllipsoidFit(
@@ -232,6 +242,30 @@ def test_each_reason_for_a_refusal(fit: EllipsoidFit, changes: dict[str, object]
     verdict, reasons = judge(fit, replace(GOOD, **changes))  # type: ignore[arg-type]
     assert verdict == "refused"
     assert [text for text in reasons if reason in text] == list(reasons[:1])
+
+
+@pytest.mark.parametrize(
+    ("fit", "changes"),
+    [
+        (vague(7, math.nan), {}),
+        (vague(2, math.nan), {}),
+        (replace(GOOD_FIT, ellipsoid=Ellipsoid(np.diag([0.0, 0.0, 0.0]), np.zeros(3))), {}),
+        (GOOD_FIT, {"coverage": math.nan}),
+        (GOOD_FIT, {"residual_kept": math.nan}),
+        (GOOD_FIT, {"strength_ratio": math.nan}),
+        (GOOD_FIT, {"dip": Dip(60.0, math.nan, 500)}),
+        (GOOD_FIT, {"dip": Dip(math.nan, 1.0, 500), "true_dip_deg": 64.0}),
+        (GOOD_FIT, {"alignment": AxisMisalignment(np.eye(3), math.nan, 0.1)}),
+        (GOOD_FIT, {"alignment": AxisMisalignment(np.eye(3), 1.0, math.nan)}),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_figure_that_is_no_number_is_proven_by_nothing(
+    fit: EllipsoidFit, changes: dict[str, object]
+) -> None:
+    verdict, reasons = judge(fit, replace(GOOD, **changes))  # type: ignore[arg-type]
+    assert verdict == "refused"
+    assert len(reasons) == 1
 
 
 @pytest.mark.parametrize("changes", [{"coverage": 0.55}, {"residual_kept": 0.05}, {"strength_ratio": 1.4}])
