@@ -36,6 +36,8 @@ def print_board(board: CalibrationBoard, output: Path, paper: PaperName) -> None
 def calibrate_camera(job: CameraCalibrationJob, board: CalibrationBoard) -> None:
     """Collect views, calibrate, judge and write."""
     must_be_writable("--output", job.output)
+    if job.plots is not None:
+        must_be_writable("--plots", make_folder("--plots", job.plots) / "errors.png")
     # an earlier attempt that took no picture has left its board there
     if job.keep is not None and any(p.name != BOARD_FILE for p in make_folder("--keep", job.keep).iterdir()):
         raise ConfigError(f"--keep {job.keep}: holds files already; expected a new or empty folder")
@@ -72,15 +74,17 @@ def _finish(
         typer.echo(line)
     encoding = measure_encoding([view.edges for view in found.views])
     typer.echo("encoding: not measured, taken for sRGB" if encoding is None else encoding.text)
+    refused = result.reasons and not job.force
+    if not refused:  # before its pictures: what they may end in must not cost it
+        camera = camera_config(result, board, capture, found.source, encoding)
+        write_atomically(job.output, camera_yaml(camera))
     if job.plots is not None:
         from calibration.camera.plots import write_plots  # noqa: PLC0415 - matplotlib is slow
 
         write_plots(job.plots, result, board)
         typer.echo(f"plots in {job.plots}")
-    if result.reasons and not job.force:
+    if refused:
         raise RefusedError("; ".join(result.reasons))
-    camera = camera_config(result, board, capture, found.source, encoding)
-    write_atomically(job.output, camera_yaml(camera))
     for reason in result.reasons:
         typer.echo(f"not good enough: {reason}")
     good = f"good; name it in the app's settings: camera: {job.output}"

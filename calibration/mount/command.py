@@ -9,7 +9,14 @@ from calibration.command_line import ForceOption, PlotsOption, run
 from calibration.mount import EXPECTED, FACES, NAME
 from companion.base.command_line import ServeOption, VersionOption, new_app
 from companion.base.errors import ConfigError
-from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable, must_be_writable, must_exist
+from companion.base.files import (
+    DEFAULT_SETTINGS,
+    find_file,
+    make_folder,
+    must_be_readable,
+    must_be_writable,
+    must_exist,
+)
 
 HELP: Final = """Calibrate the IMU and the camera mount (camera-IMU extrinsics and time offset) in the field.
 
@@ -188,6 +195,8 @@ def camera_command(
     force: ForceOption = False,
 ) -> None:
     must_be_writable("-o", output)
+    if plots is not None:
+        must_be_writable("--plots", make_folder("--plots", plots) / "mount_rates.png")
     must_exist(log, EXPECTED)
     lens = None if camera is None else find_file("cameras", camera)
     from calibration.mount.result import solve_mount  # noqa: PLC0415 - once the files are there

@@ -57,11 +57,12 @@ def solve_mount(
     calibration = mount_calibration(found, recording, against, today())
     for line in mount_lines(calibration, found, recording):
         typer.echo(line)
+    if not against or force:  # before its pictures: what they may end in must not cost it
+        write_file(output, calibration, "mount: {}")
     if plots is not None:
         pictures = write_mount_plots(plots, found, recording.inertial, configured)
         typer.echo(f"pictures      {', '.join(str(path) for path in pictures)}")
     judge(against, force=force)
-    write_file(output, calibration, "mount: {}")
 
 
 def judge(against: tuple[str, ...], *, force: bool) -> None:

@@ -95,7 +95,8 @@ def must_be_readable(path: Path, expected: str = SETTINGS_FILE) -> None:
 def must_be_writable(option: str, path: Path, suffix: str = "") -> None:
     """See that a file can be written, before the work whose result it is to hold.
 
-    It is opened: permissions show nothing of a folder by that name or a read-only disk.
+    What `replaced` will write to is opened: permissions show nothing of a folder by that name or a read-only
+    disk, and a file that may be written to is of no use in a folder that takes no other.
 
     Raises:
         ConfigError: it cannot, or does not end in the suffix.
@@ -103,13 +104,14 @@ def must_be_writable(option: str, path: Path, suffix: str = "") -> None:
     expected = f"{option} {path}: expected a {suffix and f'{suffix} '}file in an existing folder"
     if not path.name.lower().endswith(suffix):
         raise ConfigError(expected)
-    existed = path.exists()
-    if existed and not (path.is_file() or path.is_dir()):
+    if path.exists() and not (path.is_file() or path.is_dir()):
         return  # a device or a named pipe
     try:
-        path.open("ab").close()
+        written = _written_to(Path(os.path.realpath(path)))
+        existed = written.exists()
+        written.open("ab").close()
         if not existed:
-            path.unlink()
+            written.unlink()
     except OSError as error:
         raise ConfigError(f"{expected}: {error.strerror}") from error
 
@@ -151,6 +153,13 @@ def unpacked(path: Path) -> Iterator[Path]:
         yield inside[0]
 
 
+def _written_to(target: Path) -> Path:
+    """What is written first: the target itself if that is no file to be replaced, else one beside it."""
+    if target.exists() and not target.is_file():
+        return target
+    return target.with_name(target.name + ".part")
+
+
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
     """Yield the path to write to; what was written takes the place of a regular file when all is there.
@@ -160,10 +169,10 @@ def replaced(path: Path) -> Iterator[Path]:
     beside it.
     """
     target = Path(os.path.realpath(path))
-    if target.exists() and not target.is_file():
+    part = _written_to(target)
+    if part == target:
         yield target
         return
-    part = target.with_name(target.name + ".part")
     try:
         yield part
         if target.exists():

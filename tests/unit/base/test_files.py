@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from companion.base.files import save_figure, unpacked, write_atomically, write_durably
+from companion.base.files import must_be_writable, save_figure, unpacked, write_atomically, write_durably
 from companion.config import CONFIG_FOLDER, ConfigError
 
 
@@ -143,6 +143,25 @@ def test_an_exported_flight_is_unpacked_and_anything_else_is_as_it_is(tmp_path: 
         archive.writestr("flight-0008/flight.mcap", b"another")
     with pytest.raises(ConfigError, match="expected one flight's folder"), unpacked(packed):
         pass
+
+
+def test_an_output_is_tried_where_it_will_be_written(tmp_path: Path) -> None:
+    """Beside it, whether or not it is there: a file that may be written to can lie where no other may."""
+    there, missing, link = (tmp_path / name for name in ("there.yaml", "missing.yaml", "link.yaml"))
+    there.write_text("old\n")
+    link.symlink_to(tmp_path / "folder" / "target.yaml")
+    (tmp_path / "folder").mkdir()
+    for path in (there, missing, link):
+        must_be_writable("--output", path, ".yaml")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["folder", "link.yaml", "there.yaml"]
+    assert there.read_text() == "old\n"
+    for beside in (there, missing, tmp_path / "folder" / "target.yaml"):
+        beside.with_name(f"{beside.name}.part").mkdir()  # so that nobody, root neither, can write one
+    for path in (there, missing, link):
+        with pytest.raises(ConfigError, match=r"--output .*: expected a \.yaml file in an existing folder"):
+            must_be_writable("--output", path, ".yaml")
+        with pytest.raises(ConfigError, match="cannot be written"):
+            write_atomically(path, "new\n")
 
 
 def test_a_folder_that_is_not_there_is_reported(tmp_path: Path) -> None:

@@ -78,6 +78,15 @@ def test_photos_in_camera_file_and_plots_out(
     assert "good; name it in the app's settings" in capsys.readouterr().out
 
 
+def test_plots_that_cannot_be_drawn_do_not_cost_the_camera_file(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "plots" / "poses.png").mkdir(parents=True)
+    assert ended(photos, "-o", tmp_path / "mine.yaml", "--plots", tmp_path / "plots") == 2
+    assert "poses.png: cannot be written" in told(capsys)
+    assert load_model(CameraConfig, tmp_path / "mine.yaml").calibration is not None
+
+
 def test_the_written_camera_refuses_images_of_another_size(photos: Path, tmp_path: Path) -> None:
     assert ended(photos, "-o", tmp_path / "mine.yaml") == 0
     camera = load_model(CameraConfig, tmp_path / "mine.yaml")
@@ -220,6 +229,7 @@ async def test_live_images_of_another_size_are_reported(
             ("{photos}", "-o", "nowhere/x.yaml"),
             "--output nowhere/x.yaml: expected a file in an existing folder",
         ),
+        (("{photos}", "--plots", "{text}"), "--plots {text}: cannot be made: File exists"),
         (("{photos}", "--keep", "{photos}"), "holds files already"),
         (("{photos}", "--model", "fish"), "'fish' is not one of 'brown', 'rational', 'fisheye'"),
         (("--make-board", "x.pdf", "--square-mm", "60", "--marker-mm", "40"), "does not fit"),
@@ -239,7 +249,7 @@ def test_what_is_wrong_is_reported_in_one_line(
     places = {"photos": photos, "empty": tmp_path / "empty", "text": tmp_path / "text.jpg"}
     before = sorted(tmp_path.iterdir())
     assert ended(*(word.format(**places) for word in words)) == 2
-    assert says in told(capsys)
+    assert says.format(**places) in told(capsys)
     assert sorted(tmp_path.iterdir()) == before
 
 
