@@ -4,13 +4,15 @@ A distance of 0, or beyond the range, is "no echo". One at the sensor's floor or
 something is nearer than that: it is no distance either.
 
 One that talks by itself (`Ultrasonic`: JSN-SR04T in serial mode, A02YYUW and alike) sends a frame every 50 to
-100 ms: 0xFF, distance high, distance low (mm), low byte of the sum of the three.
+100 ms: 0xFF, distance high, distance low (mm), low byte of the sum of the three. Where several have come at
+once, whoever reads was held up: nobody knows when the earlier ones came.
 
 One that is asked (`Us100`: US-100 in serial mode, jumper set): 0x55 has it ping; the answer is the distance
 in millimetres, two bytes, the high one first, at the moment of the echo. A JSN-SR04T that is asked answers
 the same question with a frame as above: that is recognised and named, but not taken, since its modes differ
 in when they measure. There is neither a header nor a checksum, so what counts is when bytes come: those
-before a question are no answer, and a question whose answer is not whole when the next one is due has none.
+before a question are no answer, nor are those that come before the sound of it can be back, and a question
+whose answer is not whole when the next one is due has none.
 The sensor reckons with the temperature that it measures itself.
 """
 
@@ -77,10 +79,10 @@ class Ultrasonic(_SerialUltrasonic):
         return b""
 
     def feed(self, data: bytes, received_s: float) -> list[RangeSample]:
-        """Echoes in the bytes so far; `received_s` is when the last of `data` came."""
+        """The echo of the last whole frame in `data`; `received_s` is when the last of `data` came."""
         self._buffer += data
         self._heard_s = received_s
-        samples = []
+        samples: list[RangeSample] = []
         while True:
             start = self._buffer.find(_HEADER)
             if start < 0:
@@ -96,7 +98,7 @@ class Ultrasonic(_SerialUltrasonic):
                 continue
             self._message_s = received_s
             # the frame leaves the sensor as the echo arrives
-            samples += self._echo(high << 8 | low, received_s - len(self._buffer) * _BYTE_S)
+            samples = self._echo(high << 8 | low, received_s - len(self._buffer) * _BYTE_S)
             del self._buffer[:FRAME_BYTES]
         return samples
 
@@ -145,8 +147,13 @@ class Us100(_SerialUltrasonic):
         self._buffer += data[: FRAME_BYTES + 1 - len(self._buffer)]
         if answered or len(self._buffer) < ANSWER_BYTES:
             return []
+        distance_mm = int.from_bytes(self._buffer[:ANSWER_BYTES], "big")
+        sound_s = 2.0 * distance_mm / 1000.0 / SPEED_OF_SOUND_M_S
+        if self._buffer[0] != _HEADER and received_s - self._asked_s < sound_s:
+            self._buffer.clear()  # the answer to an earlier question, read late
+            return []
         self._waiting = False
         if len(self._buffer) > ANSWER_BYTES or self._buffer[0] == _HEADER:
             return []  # one question has one answer: this is noise, or another sensor's; 65 m is none
         self._message_s = received_s
-        return self._echo(int.from_bytes(self._buffer, "big"), received_s - ANSWER_BYTES * _BYTE_S)
+        return self._echo(distance_mm, received_s - ANSWER_BYTES * _BYTE_S)

@@ -218,10 +218,18 @@ def test_time_is_when_the_sound_met_the_ground() -> None:
     assert sample.time_s == pytest.approx(10.0 - 4 * BYTE_S - 1.953 / 340.0)
 
 
-def test_time_of_a_frame_with_others_behind_it_counts_their_bytes_too() -> None:
-    both = Ultrasonic(RangeConfig()).feed(frame(1.0) + frame(2.0), 10.0)
-    assert both[0].time_s == pytest.approx(10.0 - 8 * BYTE_S - 1.0 / 340.0)
-    assert both[1].time_s == pytest.approx(10.0 - 4 * BYTE_S - 2.0 / 340.0)
+def test_time_of_a_frame_with_bytes_behind_it_counts_those_too() -> None:
+    (sample,) = Ultrasonic(RangeConfig()).feed(frame(1.0) + frame(2.0)[:3], 10.0)
+    assert sample.time_s == pytest.approx(10.0 - 7 * BYTE_S - 1.0 / 340.0)
+
+
+def test_of_a_heap_only_the_last_frame_is_dated() -> None:
+    """GIVEN a second of frames that were read at once: a sensor sends none back to back."""
+    heap = b"".join(frame(3.0 - 0.05 * k) for k in range(10))
+    (sample,) = Ultrasonic(RangeConfig()).feed(heap, 10.0)
+    assert sample.distance_m == 2.55
+    assert sample.time_s == pytest.approx(10.0 - 4 * BYTE_S - 2.55 / 340.0)
+    assert Ultrasonic(RangeConfig()).feed(heap + frame(None), 10.0) == []
 
 
 def test_a_frame_in_single_bytes_is_found() -> None:
@@ -243,7 +251,7 @@ def test_only_distances_within_the_range_are_taken(millimetres: int, taken: bool
     [
         (frame(1.0).replace(frame(1.0)[2:3], b"\x00", 1) + frame(2.0), [2.0]),  # damaged
         (frame(1.0)[:3] + frame(2.0), [2.0]),  # half of one
-        (frame(0.255) + frame(0.511), [0.255, 0.511]),  # 255 mm: 0xFF 0x00 0xFF 0xFE, a header byte within
+        (frame(1.0) + frame(0.255), [0.255]),  # 255 mm: 0xFF 0x00 0xFF 0xFE, a header byte within
     ],
 )
 def test_what_is_no_whole_frame_costs_no_other(data: bytes, taken: list[float]) -> None:
@@ -326,8 +334,19 @@ def test_two_bytes_are_millimetres_the_high_one_first() -> None:
 
 def test_an_answer_in_two_pieces_is_one() -> None:
     driver = asked()
-    assert driver.feed(b"\x07", 0.01) == []
-    assert [s.distance_m for s in driver.feed(b"\xa1", 0.011)] == [1.953]
+    assert driver.feed(b"\x07", 0.015) == []
+    assert [s.distance_m for s in driver.feed(b"\xa1", 0.016)] == [1.953]
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.001, 0.01])
+def test_an_answer_that_comes_before_its_sound_can_is_the_last_questions(later_s: float) -> None:
+    """GIVEN a loop that was held up with an answer to read: it asks again, and then reads the old answer."""
+    driver = asked(0.0)
+    assert driver.pending(0.5) == b"\x55"
+    assert driver.feed(b"\x07\xa1", 0.5 + later_s) == []
+    (sample,) = driver.feed(b"\x06\xa1", 0.52)
+    assert sample.distance_m == 1.697
+    assert sample.time_s == pytest.approx(0.52 - 2 * BYTE_S - 1.697 / 340.0)
 
 
 @pytest.mark.parametrize(
