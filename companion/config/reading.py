@@ -27,7 +27,7 @@ LIKENESS = 0.7
 FORMER = {
     "contact_lean_deg": ("contact_deck_tilt_deg",),
     "command_patience_s": ("command_timeout_s",),
-    "patience_s": ("gentle_wait_s", "sighting_timeout_s"),
+    "patience_s": ("sighting_timeout_s",),
 }
 
 

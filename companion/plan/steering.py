@@ -35,6 +35,7 @@ from companion.plan.landing.contact_filter import ContactFilter
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
+from companion.plan.landing.success import SuccessEstimate
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import REMIND_S, Departure
 from companion.plan.mission.hold import Hold
@@ -53,7 +54,7 @@ from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
 
-_LAST_TRY_SLACK: Final = 1.6  # wider tolerances in the last try: after it control is returned
+_LAST_TRY_SLACK: Final = 1.6  # wider limits aside in the last try: after it control is returned
 _UNCONTRADICTED_S: Final = 2.0  # no echoes may contradict a pad for so long before it is flown to again
 _TELL_S: Final = 5.0  # of a search
 _STREAMING: Final = (MissionEvent.STREAMING, "setpoints are ready")
@@ -113,10 +114,9 @@ class PhaseSteering:
         standby: str | None,
         standing_height: StandingHeight,
     ) -> None:
-        self._standby = standby
         self.refused: Refusal | None = None  # this cycle's order
-        self._config, self._vehicle = config, vehicle
-        self._pad_half_width_m = pad_half_width_m
+        self._config, self._vehicle, self._standby = config, vehicle, standby
+        self._pad_half_width_m, self._success = pad_half_width_m, SuccessEstimate(config.touchdown)
         self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
         self._requests, self._say, self.steps = requests, say, EstimateSteps()
         self._waypoints = Waypoints(config.mission, generator)
@@ -139,6 +139,7 @@ class PhaseSteering:
             generator,
             standing_height,
             pad_half_width_m,
+            self._success,
         )
         self.touchdown = self._new_try(0.0)
         self._hold = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
@@ -194,6 +195,7 @@ class PhaseSteering:
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""
         self.refused = None
+        self._success.note(self._pad.sight, self._generator, now_s)
         event = self._steered_by[self._machine.phase](inputs, now_s)
         self._generator.avoidance.tell(self._say, now_s)
         return event

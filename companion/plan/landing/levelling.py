@@ -1,4 +1,4 @@
-"""When the vehicle goes level for the contact, and for how long; how far pad and vehicle tilt by then.
+"""When the vehicle goes level for the contact, and for how long; how far it tilts by then.
 
 The vehicle levels shortly before contact, and briefly: a level vehicle cannot follow the pad and drifts. If
 contact comes late it stays level while the drift is small, and longer where it is so low that a tilt would
@@ -6,8 +6,7 @@ put a foot on the pad. The controller knows of it before, and is on its way agai
 Until then the tilt is bounded to a little more than pad and wind have needed so far: a contact that comes
 0.1 s early would meet it. The more tilt is levelled off, the firmer it sets down: less time to drift in.
 
-A swing goes on as it is for a part of its period: from the mean, by the tilt and its rate at the swing's own
-frequency. The vehicle's tilt against the wind stays, that for the pad's acceleration turns with its course:
+The vehicle's tilt against the wind stays, that for the pad's acceleration turns with its course:
 over a pad on a circle there is a moment at which the two are against one another.
 NED, rad, SI units.
 """
@@ -39,30 +38,6 @@ AHEAD_S: Final = 0.7
 BEYOND_M_S2: Final = 0.6
 # Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
 FASTEST_DRIFT: Final = 2.0
-# a pad that swings less, root mean square, hardly tilts by 5 deg, and our own error swings by as much as 0.6
-SWINGS_RAD: Final = math.radians(2.0)
-# a swing of several periods at once is known for about so long
-SWING_KNOWN_S: Final = 4.0
-
-
-def tilt_in_rad(sight: PadState, ahead_s: float) -> float:
-    """How far the pad will tilt (rad) so much later."""
-    turned = sight.tilt_frequency_rad_s * ahead_s
-    known = math.exp(-0.5 * (ahead_s / SWING_KNOWN_S) ** 2)
-    rate_s = math.sin(turned) / sight.tilt_frequency_rad_s if turned > 0.0 else ahead_s
-    return math.hypot(
-        *(
-            mean + known * (math.cos(turned) * (tilt - mean) + rate_s * rate)
-            for mean, tilt, rate in zip(
-                sight.tilt_mean_rad, sight.tilt_rad, sight.tilt_rate_rad_s, strict=True
-            )
-        )
-    )
-
-
-def level_at(sight: PadState, ahead_s: float, most_rad: float) -> bool:
-    """Whether a contact so much later meets the pad level enough; a pad that does not swing is as it is."""
-    return sight.tilt_swing_rad < SWINGS_RAD or tilt_in_rad(sight, ahead_s) <= most_rad
 
 
 class TiltPrediction:
@@ -119,25 +94,23 @@ class Levelling:
         """The sink rate for a contact at which pad and wind need so much tilt.
 
         What the level vehicle lacks of it makes it drift for as long as the contact is late: firm enough that
-        the drift stays small.
+        the drift stays small where it lies deeper than expected by two standard deviations.
         """
         c = self._config
         excess_m_s2 = needed_m_s2 - self._level_m_s2
         return max(
-            c.contact_speed_m_s, min(c.firm_contact_m_s, excess_m_s2 * self._late_m / c.lateral_speed_m_s)
+            c.contact_speed_m_s,
+            min(c.firm_contact_m_s, excess_m_s2 * 2.0 * self._std_m / c.lateral_speed_m_s),
         )
 
-    @property
-    def max_horizontal_acceleration_m_s2(self) -> float:
-        """The most tilt that can be levelled off: the rest makes it drift while the contact may be late."""
-        c = self._config
-        firmest_m_s = max(c.contact_speed_m_s, c.firm_contact_m_s)
-        return self._level_m_s2 + FASTEST_DRIFT * c.lateral_speed_m_s * firmest_m_s / self._late_m
+    def drift_std_m_s(self, needed_m_s2: float, sink_std_m_s: float) -> float:
+        """Standard deviation of the speed that a level vehicle lacks by when it touches.
 
-    @property
-    def _late_m(self) -> float:
-        """What the contact may lie deeper than expected (two standard deviations)."""
-        return 2.0 * self._std_m
+        The contact is late by how much deeper it may lie, and by how much slower it may sink while it levels.
+        """
+        levels_s = self._levelling_s(math.atan(needed_m_s2 / GRAVITY_M_S2))
+        late_s = math.hypot(self._std_m, sink_std_m_s * levels_s) / self.sink_m_s(needed_m_s2)
+        return max(0.0, needed_m_s2 - self._level_m_s2) * late_s
 
     @property
     def begun(self) -> bool:

@@ -3,19 +3,13 @@
 Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it.
 Relative to the pad, NED axes, m and s. What is detected says what may follow; the mission's table decides.
 
-Contact is soft while the pad's acceleration is small: the vehicle follows an acceleration with a lag (about
-0.2 s), so its speed relative to the pad is off by acceleration x lag, whatever the pad's speed. During the
-sink the speed counts, not the height: what was lost while the pad fell away is not made up for, since that
-would be a faster contact. If it sinks too fast all the same, the vehicle rises and waits again.
+During the sink the speed counts, not the height: what was lost while the pad fell away is not made up for,
+since that would be a faster contact.
 
-It commits (`wait`, `rise`) when all of this has held for `settled_s`:
-  1. the pad is seen; offset, speed over it, height and sink are within their tolerances;
-  2. it is, and soon will be, no farther aside than it may go on with;
-  3. the pad accelerates gently, or `gentle_wait_s` has passed;
-  4. a swinging deck is level enough until the contact;
-  5. the tilt at contact is borne and can be levelled off;
-  6. no obstacle comes near on the way down;
-and, by the mission's table, the pad is inside the fence until the landing ends.
+It commits (`wait`, `rise`) when, for `settled_s`, it is where it waits or higher, the pad is seen, the
+contact will probably be within the limits (`SuccessEstimate`; what is probable enough falls with the time
+waited) and no obstacle comes near on the way down; and, by the mission's table, the pad is inside the fence
+until the landing ends.
 
 `sink` checks in this order:
   1. about to slide off the pad, while the IMU is heard: MISALIGNED;
@@ -24,7 +18,7 @@ and, by the mission's table, the pad is inside the fence until the landing ends.
   4. the pad lost: PAD_LOST with room to rise, else PAD_GONE;
   5. no contact in time: PAD_GONE if a height says that the feet are down, or, over a pad out of view, once no
      sink has been felt for as long; else, of a vehicle that sinks or hovers in view, MISALIGNED;
-  6. too fast, too much tilt or aside, with room: BREAK_OFF;
+  6. it will probably not be within the limits, with room: BREAK_OFF;
   7. so far aside that a foot may miss the pad: MISALIGNED, even without room.
 """
 
@@ -34,6 +28,7 @@ import math
 
 from companion.base.messages import LandedState, LevelOff, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
+from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import LandingConfig, TouchdownConfig
 from companion.plan.debounce import Debounce, StepClock
 from companion.plan.events import DetectedEvent, MissionEvent
@@ -42,6 +37,7 @@ from companion.plan.landing.contact import (
     AWAY_M,
     BUMP_S,
     FRESH_S,
+    RESPONDS_S,
     UNSEEN_S,
     WITHIN_HAND_M,
     LandDetector,
@@ -56,21 +52,28 @@ from companion.plan.landing.contact_filter import (
     feet_motion,
     lowest_foot_m,
 )
-from companion.plan.landing.levelling import SLOWEST_SINK, Levelling, TiltPrediction, level_at
+from companion.plan.landing.levelling import SLOWEST_SINK, Levelling, TiltPrediction
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
-from companion.plan.landing.tolerance import Tolerance, aligned, gentle, room_to_stop_m, slides_off
+from companion.plan.landing.success import SuccessEstimate
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # Time constant with which the reference's height follows the vehicle's.
 _GIVE_WAY_S = 0.3
 _HELD_UP = 1.0 / 3.0  # of the sink asked for: it goes on down without a vehicle that sinks less
-_WRONG_S = 0.1  # it breaks off for what has been wrong for so long
-_FASTER_M_S = 0.16  # a planned sink may be exceeded by this, one that nothing feels too
-# It breaks off at this share of the tilt tolerated at the commit; it commits to this share of the tilt that
-# can be levelled off at all, or it would break off at once.
-_TOO_MUCH_TILT = 1.3
-_COMMITS_BELOW = 0.9
+_FASTER_M_S = 0.16  # a planned sink may be exceeded by this where nothing feels it
+# Probability of a contact within the limits: it commits at once to what is so likely, after `giving_up_s` to
+# what is likelier than not; what has been less likely than that for so long it breaks off.
+_COMMITS = 0.9
+_BREAKS_OFF = 0.5
+_WRONG_S = 0.1
+# A sink is stopped at this rate, after `RESPONDS_S`: without that room no break-off begins.
+_STOPS_M_S2 = 2.5
+# While it corrects it tilts this much more than now or at contact: a foot hangs lower.
+_TILTS_MORE_RAD = math.radians(3.0)
+# Sliding over the pad slows it down by so much, with half its weight on the feet (friction 0.6).
+_SLIDES_M_S2 = 3.0
+_SLIDES_M_S = 0.5  # slower it stays where it touches
 # Where the last estimate has the feet within `WITHIN_HAND_M`, short echoes alone show them down, and an echo
 # that agrees with it shows that the pad, unseen for long, is below all the same.
 _AGREES_M = 0.05
@@ -89,11 +92,13 @@ class TouchdownSequence:
         generator: ReferenceGenerator,
         standing_height: StandingHeight,
         pad_half_width_m: float,
+        success: SuccessEstimate,
         now_s: float,
-        tolerance_scale: float = 1.0,
+        slack: float = 1.0,
     ) -> None:
-        """Start a try with the leg height that is known by now; `tolerance_scale` widens its tolerances."""
+        """Start a try with the leg height that is known by now; `slack` widens its limits aside."""
         self._config, self._landing, self._generator = config, landing, generator
+        self._success, self._since_s, self._slack = success, now_s, slack
         self._vehicle = vehicle = standing_height.vehicle
         self._leg_std_m = standing_height.std_m
         self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m
@@ -101,7 +106,6 @@ class TouchdownSequence:
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._standing = LandDetector(config, vehicle, now_s)
         self._gives_way, self._contact_due_s = StepClock(), now_s
-        self._tolerance = Tolerance(config, now_s, tolerance_scale)
         self._held = Debounce()
         self.contact = ContactFilter(config, self._leg_std_m)
         self._short_echoes = ShortEchoes(config.contact_speed_m_s)
@@ -135,30 +139,21 @@ class TouchdownSequence:
 
     def wait(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
         """Hover over the pad for a moment to land."""
-        c, tolerance = self._config, self._tolerance
-        waited_s = now_s - tolerance.since_s
+        c, waited_s = self._config, now_s - self._since_s
         self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         # as in the descent: an unseen pad's predicted height sinks or rises without end, and is soon a guess
         if sight is None or sight.unseen_s > self._landing.pause_unseen_s:
             unseen_s = self._landing.pause_unseen_s
             return MissionEvent.PAD_LOST, f"not seen for {unseen_s:.1f} s just above the pad"
-        tilt_m_s2 = self._tilt_at_contact_m_s2()
-        tolerance.note_tilt(tilt_m_s2, now_s)
+        likely, worst = self._likely(sight, self._sinks_for_s(now_s))
+        if waited_s >= c.giving_up_s:
+            return MissionEvent.MISALIGNED, f"not settled in {waited_s:.0f} s: {worst}"
         ready = (
-            aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
-            and not tolerance.exceeds_lateral_tolerance(sight, now_s)
-            and (tolerance.waits_passed(now_s) >= 1.0 or gentle(sight, c))
-            and level_at(sight, self._sinks_for_s(), tolerance.most_tilt_rad(now_s))
-            and tilt_m_s2 <= tolerance.max_horizontal_acceleration_m_s2(now_s)
-            and tilt_m_s2 <= _COMMITS_BELOW * self._levelling.max_horizontal_acceleration_m_s2
+            sight.unseen_s <= UNSEEN_S
+            and sight.height_m >= self._wait_height_m - WITHIN_HAND_M
+            and likely >= _COMMITS - (_COMMITS - _BREAKS_OFF) * waited_s / c.giving_up_s
             and self._generator.avoidance.free_for((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
-        if waited_s >= c.giving_up_s:
-            return (
-                MissionEvent.MISALIGNED,
-                f"not settled in {waited_s:.0f} s, lateral offset "
-                f"{100.0 * sight.lateral_m:.0f} cm, tilt {math.degrees(self.tilt.tilt_rad):.0f} deg",
-            )
         if self._held.held_s("settled", ready, now_s) >= c.settled_s:
             return MissionEvent.COMMIT, "committed to land: sinking"
         return None
@@ -175,24 +170,36 @@ class TouchdownSequence:
         self._levelling.reset()
         self._held.end()
 
-    def _tilt_at_contact_m_s2(self) -> float:
-        return self.tilt.predicted_acceleration_m_s2(self._sinks_for_s())
+    def _likely(self, sight: PadState, ahead_s: float) -> tuple[float, str]:
+        """How likely a contact so much later is within the limits, and what speaks most against it."""
+        needed_m_s2 = self.tilt.predicted_acceleration_m_s2(ahead_s)
+        factors = self._success.factors(
+            sight,
+            ahead_s,
+            sink_m_s=max(self._levelling.planned_m_s, self._levelling.sink_m_s(needed_m_s2)),
+            drift_std_m_s=self._levelling.drift_std_m_s(needed_m_s2, self._success.sink_std_m_s),
+            slack=self._slack,
+        )
+        worst = min(factors, key=lambda name: factors[name])
+        return math.prod(factors.values()), f"{worst} at contact within its limit at {factors[worst]:.0%}"
 
     def way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off, at most."""
         slowest_m_s = self._config.contact_speed_m_s
-        return self._config.settled_s + self._way_s(slowest_m_s) + self._config.land_after_s
+        way_s = self._way_s(self._wait_height_m, slowest_m_s)
+        return self._config.settled_s + way_s + self._config.land_after_s
 
-    def _sinks_for_s(self) -> float:
-        """How long from the commit until the feet touch, by the sink that the tilt by then asks for."""
-        slowest_s = self._way_s(self._config.contact_speed_m_s)
-        return self._way_s(self._levelling.sink_m_s(self.tilt.predicted_acceleration_m_s2(slowest_s)))
+    def _sinks_for_s(self, now_s: float) -> float:
+        """How long from a commit until the feet touch, by the sink that the tilt by then asks for."""
+        height_m = -self._generator.at(now_s).position_m[2]
+        slowest_s = self._way_s(height_m, self._config.contact_speed_m_s)
+        needed_m_s2 = self.tilt.predicted_acceleration_m_s2(slowest_s)
+        return self._way_s(height_m, self._levelling.sink_m_s(needed_m_s2))
 
-    def _way_s(self, sink_m_s: float) -> float:
+    def _way_s(self, height_m: float, sink_m_s: float) -> float:
         """The way down at that speed; the blend covers half of what the speed would."""
         c = self._config
-        drop_m = self._wait_height_m - self._vehicle.leg_height_m
-        return max(c.blend_s, 0.5 * c.blend_s + drop_m / sink_m_s)
+        return max(c.blend_s, 0.5 * c.blend_s + (height_m - self._vehicle.leg_height_m) / sink_m_s)
 
     # ------------------------------------------------------------ sink
 
@@ -203,7 +210,9 @@ class TouchdownSequence:
         self._held.end()
         self._lowest_m = math.inf
         self.contact = ContactFilter(c, self._leg_std_m)
-        speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
+        speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(
+            self.tilt.predicted_acceleration_m_s2(self._sinks_for_s(now_s))
+        )
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
@@ -330,35 +339,38 @@ class TouchdownSequence:
 
     def _escapes(self, sight: PadState) -> bool:
         """Whether it is so far aside that it would miss the pad."""
-        return sight.lateral_m > self._tolerance.escape_m
+        return sight.lateral_m > self._slack * self._config.escape_lateral_m
 
     def _slides(self, sight: PadState) -> str:
-        """Whether the feet would slide off the pad, or beyond the lateral tolerance where that is wider."""
-        farthest_m = max(self._tolerance.escape_m, self._feet_on_pad_m)
-        return slides_off(sight, farthest_m) if sight.height_m <= self._low_m else ""
+        """Says so when feet that touch would slide off the pad, it having stopped, or escape; else "".
+
+        By the speed that was seen: a vehicle that is stopped at the contact feels the same whether it slides
+        over the pad from then on or the pad has stopped with it, and the next sightings tell.
+        """
+        (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.seen_velocity_ned_m_s
+        speed_m_s = math.hypot(vx, vy)
+        slides_s = 0.5 * speed_m_s / _SLIDES_M_S2
+        farthest_m = max(self._slack * self._config.escape_lateral_m, self._feet_on_pad_m)
+        # a filter that has just started says any speed, but not that it knows it
+        known = sight.unseen_s <= UNSEEN_S and sight.height_m <= self._low_m
+        fast = speed_m_s >= max(_SLIDES_M_S, SIGMA_THRESHOLD * sight.velocity_std_m_s)
+        off = known and fast and math.hypot(x + slides_s * vx, y + slides_s * vy) > farthest_m
+        return f"sliding over the pad at {speed_m_s:.1f} m/s" if off else ""
 
     def _wrong(self, sight: PadState, now_s: float) -> str:
-        """Why this landing would be hard or off the mark; "" while it is fine."""
-        fresh = sight.unseen_s <= UNSEEN_S
-        fastest_m_s = min(self._config.fastest_contact_m_s, self._levelling.planned_m_s + _FASTER_M_S)
-        fast = fresh and sight.sink_m_s > fastest_m_s
-        if self._held.held_s("too fast", fast, now_s) >= _WRONG_S:
-            return "sinking too fast"
-        due_s = self._levelling.due_s if self._levelling.begun else self._contact_due_s
-        tilt_m_s2 = self.tilt.predicted_acceleration_m_s2(max(0.0, due_s - now_s))
-        most_m_s2 = _TOO_MUCH_TILT * self._tolerance.max_horizontal_acceleration_m_s2(now_s)
-        if tilt_m_s2 > min(most_m_s2, self._levelling.max_horizontal_acceleration_m_s2):
-            return "too much tilt at contact"
-        far = fresh and self._tolerance.exceeds_lateral_tolerance(sight, now_s, surely=True)
-        if self._held.held_s("far aside", far, now_s) >= _WRONG_S:
-            return f"lateral offset {100.0 * sight.lateral_m:.0f} cm at {sight.lateral_speed_m_s:.2f} m/s"
-        return ""
+        """Why this landing would probably be hard or off the mark; "" while it is fine."""
+        likely, worst = self._likely(sight, max(0.0, self._levelling.due_s - now_s))
+        wrong = sight.unseen_s <= UNSEEN_S and likely < _BREAKS_OFF
+        return worst if self._held.held_s("wrong", wrong, now_s) >= _WRONG_S else ""
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:
         """Whether it can stop and rise before a foot touches what is so far below."""
-        tilt_rad = max(self.tilt.tilt_rad, math.radians(self._config.contact_tilt_deg))
-        room_m = room_to_stop_m(sink_m_s, tilt_rad, self._vehicle.foot_reach_m)
-        return height_m - self._vehicle.leg_height_m > max(self._config.break_off_above_m, room_m)
+        tilt_rad = max(self.tilt.tilt_rad, math.radians(self._config.contact_tilt_deg)) + _TILTS_MORE_RAD
+        sink_m_s = max(0.0, sink_m_s)
+        stops_m = sink_m_s * RESPONDS_S + sink_m_s * sink_m_s / (2.0 * _STOPS_M_S2)
+        hangs_m = self._vehicle.foot_reach_m * math.sin(tilt_rad)
+        room_m = max(self._config.break_off_above_m, stops_m + hangs_m)
+        return height_m - self._vehicle.leg_height_m > room_m
 
     def _give_way(self, sight: PadState | None, now_s: float) -> None:
         """Let the reference's height follow the vehicle's; not near the pad, where the vehicle may stand."""

@@ -8,9 +8,9 @@ import pytest
 
 from companion.base.geometry import ZERO3
 from companion.base.messages import PadState
-from companion.config import PadFilterConfig
+from companion.config import PadFilterConfig, TouchdownConfig
 from companion.estimate.pad.tilt_filter import PadTilt, TiltState
-from companion.plan.landing.levelling import level_at, tilt_in_rad
+from companion.plan.landing.success import SuccessEstimate, tilt_in_rad
 
 FRAME_S = 1.0 / 30.0
 ROLL_RAD, PERIOD_S, LIST_RAD = math.radians(8.0), 8.0, math.radians(2.0)
@@ -60,12 +60,20 @@ def test_list_swing_and_period_are_measured() -> None:
 def test_tilt_is_predicted_through_a_quarter_of_the_swing(seconds: float) -> None:
     ahead_s = PERIOD_S / 4.0
     will_be = math.hypot(*rolling(seconds - FRAME_S + ahead_s))
-    assert tilt_in_rad(pad_of(watched(seconds)), ahead_s) == pytest.approx(will_be, abs=math.radians(3.0))
+    tilt_rad, std_rad = tilt_in_rad(pad_of(watched(seconds)), ahead_s)
+    assert tilt_rad == pytest.approx(will_be, abs=math.radians(3.0))
+    assert abs(tilt_rad - will_be) < 2.0 * std_rad
+
+
+def pad_level(pad: PadState, ahead_s: float) -> float:
+    """The probability that a contact so much later meets it level enough."""
+    success = SuccessEstimate(TouchdownConfig())
+    return success.factors(pad, ahead_s, sink_m_s=0.2, drift_std_m_s=0.0, slack=1.0)["pad tilt"]
 
 
 def test_a_slope_that_does_not_swing_is_met_at_any_time() -> None:
     slope = replace(pad_of(PadTilt()), tilt_rad=(0.2, 0.0), tilt_mean_rad=(0.2, 0.0), tilt_swing_rad=0.001)
-    assert level_at(slope, 0.0, math.radians(5.0))
+    assert pad_level(slope, 0.0) == 1.0
 
 
 def test_a_deck_at_its_roll_is_waited_for() -> None:
@@ -75,5 +83,5 @@ def test_a_deck_at_its_roll_is_waited_for() -> None:
         tilt_swing_rad=ROLL_RAD / math.sqrt(2.0),
         tilt_frequency_rad_s=math.tau / PERIOD_S,
     )
-    assert not level_at(roll, 0.0, math.radians(5.0))
-    assert level_at(roll, PERIOD_S / 4.0, math.radians(5.0))
+    assert pad_level(roll, 0.0) < 0.01
+    assert pad_level(roll, PERIOD_S / 4.0) > 0.9

@@ -108,18 +108,15 @@ def test_the_more_tilt_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float,
     assert speed_m_s == pytest.approx(sink_m_s, abs=1e-3)
 
 
-def test_a_tilt_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts() -> None:
-    # 0.24 m/s of drift in the time by which a contact at 0.32 m/s may be late
-    most_m_s2 = 0.24 * 0.32 / (2.0 * STD_M)
-    for excess_m_s2, breaks_off in ((0.95 * most_m_s2, False), (1.05 * most_m_s2, True)):
-        touchdown = fresh()
-        waited(touchdown, 0.0, 0.0, 0.5)
-        assert touchdown.committed
-        late_s = 5.0 * CONFIG.gentle_wait_s
-        touchdown.note_tilt(tilting(LEVEL_M_S2 + excess_m_s2), late_s)
-        touchdown._sequence._contact_due_s = late_s
-        touchdown.step(sight(height=LEG_M + 0.3), late_s)
-        assert (touchdown.broken_off_by == "too much tilt at contact") == breaks_off
+@pytest.mark.parametrize("sink_std_m_s", [0.0, 0.1])
+def test_what_a_level_vehicle_lacks_makes_it_drift_for_as_long_as_the_contact_is_late(
+    sink_std_m_s: float,
+) -> None:
+    levelling_off, excess_m_s2 = Levelling(CONFIG, VEHICLE, 0.03 / math.sqrt(2.0)), 2.0
+    late_m = math.hypot(STD_M, sink_std_m_s * lead_after(excess_m_s2))
+    drift_m_s = levelling_off.drift_std_m_s(LEVEL_M_S2 + excess_m_s2, sink_std_m_s)
+    assert drift_m_s == pytest.approx(excess_m_s2 * late_m / CONFIG.firm_contact_m_s)
+    assert levelling_off.drift_std_m_s(LEVEL_M_S2, sink_std_m_s) == 0.0
 
 
 @pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])

@@ -11,6 +11,7 @@ from companion.base.motion import Motion
 from companion.config import GuidanceConfig, LandingConfig, TouchdownConfig
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.standing_height import StandingHeight
+from companion.plan.landing.success import SuccessEstimate
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.states import State
 from companion.plan.planner import Planner
@@ -103,7 +104,9 @@ def test_a_try_begins_with_what_was_measured_until_then() -> None:
     generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
     height.measured_m["the pad"] = (LEG_M + 0.03, 0.0)
     generator.start("pad", Motion((0.0, 0.0, -1.0), ZERO3), 0.0)
-    sequence = TouchdownSequence(TouchdownConfig(), LandingConfig(), generator, height, 0.5, 0.0)
+    config = TouchdownConfig()
+    success = SuccessEstimate(config)
+    sequence = TouchdownSequence(config, LandingConfig(), generator, height, 0.5, success, 0.0)
     touch_down(sequence, State.WAIT, None, PlanInputs(None, None, AutopilotState(0.0)), 0.0)
     end = generator.at(20.0).position_m[2]
     assert end == pytest.approx(-(LEG_M + 0.027 + 0.35), abs=1e-3)

@@ -101,15 +101,6 @@ def position_covariance(std_m: float) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(std_m**2 if row == column else 0.0 for column in range(6)) for row in range(6))
 
 
-@pytest.mark.parametrize(("std_m", "breaks_off"), [(0.001, True), (0.03, False)])
-def test_an_offset_that_may_be_the_estimates_own_noise_breaks_nothing_off(
-    std_m: float, breaks_off: bool
-) -> None:
-    touchdown = sinking()
-    touchdown.cycles([replace(sight(aside=0.09, height=0.4), covariance=position_covariance(std_m))] * 7)
-    assert bool(touchdown.broken_off_by) == breaks_off
-
-
 @pytest.mark.parametrize(("since_s", "leaves"), [(0.1, True), (0.4, False)])
 def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leaves: bool) -> None:
     touchdown = standing()

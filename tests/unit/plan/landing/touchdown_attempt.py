@@ -1,7 +1,7 @@
 """A try at a touchdown, from state to state as the table says."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from companion.config import GuidanceConfig, LandingConfig, TouchdownConfig
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.standing_height import StandingHeight
+from companion.plan.landing.success import SuccessEstimate
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.states import Circumstances, State
 from companion.plan.mission.table import COMMITTED, GOING_DOWN, ON_PAD, TOUCHDOWN, follows
@@ -45,8 +46,10 @@ def sight(
 class Attempt:
     """A try that goes from state to state as the table says; `step` returns what ends it, and a contact."""
 
-    def __init__(self, sequence: TouchdownSequence, generator: ReferenceGenerator) -> None:
-        self._sequence, self._generator = sequence, generator
+    def __init__(
+        self, sequence: TouchdownSequence, generator: ReferenceGenerator, success: SuccessEstimate
+    ) -> None:
+        self._sequence, self._generator, self._success = sequence, generator, success
         self.state = State.WAIT
         self.broken_off_by = ""
         self.contact_s = math.nan
@@ -104,6 +107,7 @@ class Attempt:
         echo = None if echo_m is None else RangeSample(now_s - echo_age_s, echo_m)
         autopilot = AutopilotState(now_s, landed=landed, connected=True)
         inputs = PlanInputs(vehicle, None, autopilot, range=echo, link=LinkHealth(silent_s))
+        self._success.note(seen, self._generator, now_s)
         detected = touch_down(self._sequence, self.state, seen, inputs, now_s)
         if detected is None:
             return None
@@ -126,16 +130,26 @@ class Attempt:
 
 
 def fresh(
-    tolerance_scale: float = 1.0, config: TouchdownConfig = CONFIG, half_width_m: float = SMALL_PAD_M
+    slack: float = 1.0,
+    config: TouchdownConfig = CONFIG,
+    half_width_m: float = SMALL_PAD_M,
+    *,
+    watched_s: float = 10.0,
+    seen_at: Callable[[float], PadState] = lambda _: sight(),
 ) -> Attempt:
+    """Over the pad, which it has followed like that for so long."""
     generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
+    success = SuccessEstimate(config)
+    generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), -watched_s)
+    for k in range(round(watched_s / CYCLE_S)):
+        success.note(seen_at(k * CYCLE_S - watched_s), generator, k * CYCLE_S - watched_s)
     generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
     standing = StandingHeight(VEHICLE)
     standing.measured_m["the rangefinder"] = VEHICLE.leg_height_m, 0.0
     sequence = TouchdownSequence(
-        config, LandingConfig(), generator, standing, half_width_m, 0.0, tolerance_scale
+        config, LandingConfig(), generator, standing, half_width_m, success, 0.0, slack
     )
-    return Attempt(sequence, generator)
+    return Attempt(sequence, generator, success)
 
 
 def wait(touchdown: Attempt, seen: PadState, until_s: float) -> tuple[float, MissionEvent | None]:

@@ -774,7 +774,8 @@ def test_at_the_ceiling_it_climbs_no_higher() -> None:
 
 
 def test_a_pad_that_grows_too_fast_just_below_is_left_upward() -> None:
-    w = low_over_the_pad(PlanConfig.model_validate({"mission": {"pad_speed_m_s": 0.5}}))
+    mission, waits = {"pad_speed_m_s": 0.5}, {"settled_s": 5.0}
+    w = low_over_the_pad(PlanConfig.model_validate({"mission": mission, "touchdown": waits}))
     begin_s, (north, east, down) = w.now_s, w.pad(w.now_s)
     w.pad = lambda t: (north, east + max(0.0, t - begin_s) ** 2, down)
     w.fly(20.0, until=lambda w: w.flight.phase is Phase.HOLD)
@@ -786,7 +787,8 @@ def test_a_pad_that_grows_too_fast_just_below_is_left_upward() -> None:
 
 
 def test_it_is_clear_of_a_fast_pad_long_before_it_has_come_to_rest() -> None:
-    w = low_over_the_pad(PlanConfig.model_validate({"mission": {"pad_speed_m_s": 3.0}}))
+    mission, waits = {"pad_speed_m_s": 3.0}, {"settled_s": 5.0}
+    w = low_over_the_pad(PlanConfig.model_validate({"mission": mission, "touchdown": waits}))
     begin_s, (north, east, down) = w.now_s, w.pad(w.now_s)
     w.pad = lambda t: (north, east + max(0.0, t - begin_s) ** 2, down)
     w.fly(20.0, until=lambda w: w.flight.phase is Phase.HOLD)
