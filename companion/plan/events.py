@@ -34,7 +34,7 @@ class MissionEvent(StrEnum):
     PAD_SEEN = "pad_seen"  # steadily, and setpoints of ours are obeyed where that matters
     CENTRED = "centred"  # above the pad, within the descent cone
     LOW = "low"  # at the height from which touchdown is one straight go
-    COMMIT = "commit"  # aligned over a pad that is gentle, for a moment
+    COMMIT = "commit"  # a contact within the limits has been likely for a moment
     CLEAR = "clear"  # at rest by our setpoints, and clear of the pad
     BREAK_OFF = "break_off"  # hard or aside, with room: back to where it waits; counts no try
     RISEN = "risen"  # climbing after a break-off

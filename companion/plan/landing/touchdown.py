@@ -181,7 +181,7 @@ class TouchdownSequence:
             slack=self._slack,
         )
         worst = min(factors, key=lambda name: factors[name])
-        return math.prod(factors.values()), f"{worst} at contact within its limit at {factors[worst]:.0%}"
+        return math.prod(factors.values()), f"{worst} within its limit with {100.0 * factors[worst]:.0f} %"
 
     def way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off, at most."""
