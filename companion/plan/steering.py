@@ -83,7 +83,6 @@ def touch_down(
     touchdown: TouchdownSequence, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float
 ) -> DetectedEvent | None:
     """A cycle of the touchdown in one of its states."""
-    touchdown.see(sight, inputs.vehicle, now_s)
     match state:
         case State.WAIT:
             return touchdown.wait(sight, now_s)
@@ -195,7 +194,7 @@ class PhaseSteering:
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""
         self.refused = None
-        self._success.note(self._pad.sight, self._generator, now_s)
+        self._success.note(self._pad.sight, inputs.vehicle, self._generator, now_s)
         event = self._steered_by[self._machine.phase](inputs, now_s)
         self._generator.avoidance.tell(self._say, now_s)
         return event

@@ -15,12 +15,14 @@ from __future__ import annotations
 
 import cmath
 import math
+from statistics import NormalDist
 from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Quaternion, horizontal_acceleration, tilt_from_quat
 from companion.base.messages import LevelOff, PadState
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import StepClock
+from companion.plan.inputs import LONGEST_CYCLE_S
 from companion.plan.landing.contact import RESPONDS_S, UNSEEN_S
 
 LEVELS_M_S3: Final = 8.0  # how fast the tilt falls, `RESPONDS_S` after the decision to level off
@@ -36,17 +38,22 @@ SLOWEST_SINK: Final = 0.5
 # been needed, and so much.
 AHEAD_S: Final = 0.7
 BEYOND_M_S2: Final = 0.6
+LEARNS_S: Final = 2.0  # what gusts do: what it was before is of another wind and course
+NORMAL: Final = NormalDist()
 # Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
 FASTEST_DRIFT: Final = 2.0
 
 
 class TiltPrediction:
-    """How far the vehicle tilts, and will have to, as the horizontal acceleration that its thrust makes."""
+    """How far the vehicle tilts, and will have to, as the horizontal acceleration that its thrust makes.
+
+    `scatter_m2_s4`: mean square on an axis of what gusts have changed it by lately, within `SMOOTHING_S`.
+    """
 
     SMOOTHING_S: Final = 0.25
 
     def __init__(self) -> None:
-        self.tilt_rad = 0.0
+        self.tilt_rad = self.scatter_m2_s4 = 0.0
         # complex: north + i east
         self._lasting_m_s2 = 0j
         self._sight: PadState | None = None
@@ -56,9 +63,11 @@ class TiltPrediction:
         """Take in the vehicle's attitude; an unseen pad goes on as it did."""
         self._sight = sight or self._sight
         self.tilt_rad = tilt_from_quat(attitude)
-        lasting = complex(*horizontal_acceleration(attitude)) - self._with_pad_m_s2
-        share = -math.expm1(-self._clock.step_s(now_s) / self.SMOOTHING_S)
-        self._lasting_m_s2 += share * (lasting - self._lasting_m_s2)
+        elapsed_s = self._clock.step_s(now_s)
+        change = complex(*horizontal_acceleration(attitude)) - self._with_pad_m_s2 - self._lasting_m_s2
+        self._lasting_m_s2 += -math.expm1(-elapsed_s / self.SMOOTHING_S) * change
+        learns = -math.expm1(-min(LONGEST_CYCLE_S, elapsed_s) / LEARNS_S)
+        self.scatter_m2_s4 += learns * (0.5 * abs(change) ** 2 - self.scatter_m2_s4)
 
     @property
     def _with_pad_m_s2(self) -> complex:
@@ -103,14 +112,23 @@ class Levelling:
             min(c.firm_contact_m_s, excess_m_s2 * 2.0 * self._std_m / c.lateral_speed_m_s),
         )
 
-    def drift_std_m_s(self, needed_m_s2: float, sink_std_m_s: float) -> float:
-        """Standard deviation of the speed that a level vehicle lacks by when it touches.
+    def drift(
+        self, needed_m_s2: float, scatter_m2_s4: float, sink_std_m_s: float, ahead_s: float
+    ) -> tuple[float, float]:
+        """Standard deviations (m/s, m) of what a level vehicle drifts by until it touches so much later.
 
-        The contact is late by how much deeper it may lie, and by how much slower it may sink while it levels.
+        It lacks what is needed beyond its level, a normal distribution cut off at none. The controller is
+        ahead of that but for what gusts change meanwhile, and for a late contact: by how much deeper it may
+        lie, and by how much slower the vehicle may sink while it levels.
         """
-        levels_s = self._levelling_s(math.atan(needed_m_s2 / GRAVITY_M_S2))
+        lacks_m_s2, std_m_s2 = needed_m_s2 - self._level_m_s2, math.sqrt(scatter_m2_s4) + 1e-9
+        share, density = NORMAL.cdf(lacks_m_s2 / std_m_s2), std_m_s2 * NORMAL.pdf(lacks_m_s2 / std_m_s2)
+        mean = lacks_m_s2 * share + density
+        square = max(0.0, (lacks_m_s2**2 + scatter_m2_s4) * share + lacks_m_s2 * density)
+        levels_s = min(ahead_s, self._levelling_s(math.atan(needed_m_s2 / GRAVITY_M_S2)))
         late_s = math.hypot(self._std_m, sink_std_m_s * levels_s) / self.sink_m_s(needed_m_s2)
-        return max(0.0, needed_m_s2 - self._level_m_s2) * late_s
+        speed_m_s = math.sqrt(square * late_s**2 + max(0.0, square - mean**2) * levels_s**2)
+        return speed_m_s, 0.5 * levels_s * speed_m_s
 
     @property
     def begun(self) -> bool:

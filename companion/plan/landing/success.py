@@ -12,26 +12,23 @@ frequency. NED, m, s, rad.
 from __future__ import annotations
 
 import math
-from statistics import NormalDist
 from typing import Final
 
 from companion.base.geometry import subtract
-from companion.base.messages import PadState
+from companion.base.messages import PadState, VehicleState
 from companion.config import TouchdownConfig
 from companion.plan.debounce import StepClock
 from companion.plan.inputs import LONGEST_CYCLE_S
 from companion.plan.landing.contact import RESPONDS_S, UNSEEN_S
 from companion.plan.landing.contact_filter import SINK_TAU_S
-from companion.plan.landing.levelling import FASTEST_DRIFT
+from companion.plan.landing.levelling import FASTEST_DRIFT, LEARNS_S, NORMAL, TiltPrediction
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
-_LEARNS_S: Final = 2.0  # the errors' mean squares: what they were before is of another wind and course
 # a pad that swings less, root mean square, hardly tilts by 5 deg, and our own error swings by as much as 0.6
 _SWINGS_RAD: Final = math.radians(2.0)
 # a swing of several periods at once is known for about so long
 _SWING_KNOWN_S: Final = 4.0
 _TINY: Final = 1e-9
-_CDF: Final = NormalDist().cdf
 
 
 class SuccessEstimate:
@@ -39,15 +36,23 @@ class SuccessEstimate:
 
     def __init__(self, config: TouchdownConfig) -> None:
         """Nothing is known: the errors may be as large as the limits."""
-        self._config, self._clock = config, StepClock()
+        self._config, self._clock, self.tilt = config, StepClock(), TiltPrediction()
         self._fastest_m_s = FASTEST_DRIFT * config.lateral_speed_m_s
         spare_m_s = config.fastest_contact_m_s - config.contact_speed_m_s
         # mean squares on an axis: of the offset (m²), of the speed over the pad and of the sink (m²/s²)
         self._errors = config.break_off_lateral_m**2, self._fastest_m_s**2, spare_m_s**2
 
-    def note(self, sight: PadState | None, generator: ReferenceGenerator, now_s: float) -> None:
-        """Take in how far the vehicle is off the reference, while that is in the pad's frame."""
-        share = -math.expm1(-min(LONGEST_CYCLE_S, self._clock.step_s(now_s)) / _LEARNS_S)
+    def note(
+        self,
+        sight: PadState | None,
+        vehicle: VehicleState | None,
+        generator: ReferenceGenerator,
+        now_s: float,
+    ) -> None:
+        """Take in the tilt, and how far it is off the reference, while that is in the pad's frame."""
+        if vehicle is not None:
+            self.tilt.note(vehicle.attitude, sight, now_s)
+        share = -math.expm1(-min(LONGEST_CYCLE_S, self._clock.step_s(now_s)) / LEARNS_S)
         by_pad = generator.active and generator.origin == "pad"
         if not by_pad or sight is None or sight.unseen_s > UNSEEN_S:
             return
@@ -65,12 +70,12 @@ class SuccessEstimate:
         return math.sqrt(self._errors[2])
 
     def factors(
-        self, sight: PadState, ahead_s: float, *, sink_m_s: float, drift_std_m_s: float, slack: float
+        self, sight: PadState, ahead_s: float, *, sink_m_s: float, drift: tuple[float, float], slack: float
     ) -> dict[str, float]:
         """The probabilities of a contact so much later that is within each limit, by what it limits.
 
-        `sink_m_s` is planned for it, `drift_std_m_s` the standard deviation of the speed by which a level
-        vehicle drifts until it touches; `slack` widens the limit aside.
+        `sink_m_s` is planned for it, `drift` the standard deviations (m/s, m) of what a level vehicle drifts
+        by until it touches; `slack` widens the limit aside.
         """
         c = self._config
         as_it_is_s, fades = min(ahead_s, RESPONDS_S), max(0.0, ahead_s - RESPONDS_S) / SINK_TAU_S
@@ -92,20 +97,18 @@ class SuccessEstimate:
         speed_std_m_s, sink_std_m_s = std(speed, axis_std_m_s), std(sink, axis_std_m_s)
         spare_m_s = c.fastest_contact_m_s - sink_m_s - kept * (-vz - sink_m_s)
         return {
-            "lateral offset": _within(slack * c.break_off_lateral_m, aside_m, offset_std_m, offset_std_m),
-            "lateral speed": _within(
-                self._fastest_m_s, slip_m_s, math.hypot(speed_std_m_s, drift_std_m_s), speed_std_m_s
-            ),
-            "sink": _CDF(spare_m_s / (sink_std_m_s + _TINY)),
+            "lateral offset": _within(slack * c.break_off_lateral_m, aside_m, offset_std_m, drift[1]),
+            "lateral speed": _within(self._fastest_m_s, slip_m_s, speed_std_m_s, drift[0]),
+            "sink": NORMAL.cdf(spare_m_s / (sink_std_m_s + _TINY)),
             "pad tilt": _pad_level(sight, ahead_s, math.radians(c.contact_deck_tilt_deg)),
         }
 
 
-def _within(limit: float, mean: float, std: float, across_std: float) -> float:
-    """The probability of a vector of at most so much: by its deviations along its mean and across it."""
-    along, across = std + _TINY, across_std + _TINY
-    inside = _CDF((limit - mean) / along) - _CDF((-limit - mean) / along)
-    return inside * (2.0 * _CDF(limit / across) - 1.0)
+def _within(limit: float, mean: float, std: float, along_std: float) -> float:
+    """The probability of a vector of at most so much: by its deviation on an axis and more along its mean."""
+    along, across = math.hypot(std, along_std) + _TINY, std + _TINY
+    inside = NORMAL.cdf((limit - mean) / along) - NORMAL.cdf((-limit - mean) / along)
+    return inside * (2.0 * NORMAL.cdf(limit / across) - 1.0)
 
 
 def _pad_level(sight: PadState, ahead_s: float, most_rad: float) -> float:
@@ -113,7 +116,7 @@ def _pad_level(sight: PadState, ahead_s: float, most_rad: float) -> float:
     if sight.tilt_swing_rad < _SWINGS_RAD:
         return 1.0
     tilt_rad, std_rad = tilt_in_rad(sight, ahead_s)
-    return _within(most_rad, tilt_rad, std_rad, 0.0)
+    return _within(most_rad, tilt_rad, 0.0, std_rad)
 
 
 def tilt_in_rad(sight: PadState, ahead_s: float) -> tuple[float, float]:

@@ -52,7 +52,7 @@ from companion.plan.landing.contact_filter import (
     feet_motion,
     lowest_foot_m,
 )
-from companion.plan.landing.levelling import SLOWEST_SINK, Levelling, TiltPrediction
+from companion.plan.landing.levelling import SLOWEST_SINK, Levelling
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.success import SuccessEstimate
@@ -80,7 +80,7 @@ _AGREES_M = 0.05
 
 
 class TouchdownSequence:
-    """One try: in every cycle `see`, and what the vehicle does then.
+    """One try: what the vehicle does in every cycle.
 
     Steers the reference in the pad's frame; each returns what is detected, and why.
     """
@@ -109,15 +109,9 @@ class TouchdownSequence:
         self._held = Debounce()
         self.contact = ContactFilter(config, self._leg_std_m)
         self._short_echoes = ShortEchoes(config.contact_speed_m_s)
-        self.tilt = TiltPrediction()
         self._levelling = Levelling(config, vehicle, self._leg_std_m)
         self._left, self._lowest_m = False, math.inf
         self.met: PadState | None = None  # the pad as the feet met it, or as it was seen since
-
-    def see(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
-        """Take in a cycle's estimates."""
-        if vehicle is not None:
-            self.tilt.note(vehicle.attitude, sight, now_s)
 
     def _meet(self, sight: PadState | None, *, down: bool) -> bool:
         """Note the pad, unless the feet may be down: then no prediction takes it away; whether it is seen."""
@@ -172,12 +166,13 @@ class TouchdownSequence:
 
     def _likely(self, sight: PadState, ahead_s: float) -> tuple[float, str]:
         """How likely a contact so much later is within the limits, and what speaks most against it."""
-        needed_m_s2 = self.tilt.predicted_acceleration_m_s2(ahead_s)
-        factors = self._success.factors(
+        success, tilt = self._success, self._success.tilt
+        needed_m_s2 = tilt.predicted_acceleration_m_s2(ahead_s)
+        factors = success.factors(
             sight,
             ahead_s,
             sink_m_s=max(self._levelling.planned_m_s, self._levelling.sink_m_s(needed_m_s2)),
-            drift_std_m_s=self._levelling.drift_std_m_s(needed_m_s2, self._success.sink_std_m_s),
+            drift=self._levelling.drift(needed_m_s2, tilt.scatter_m2_s4, success.sink_std_m_s, ahead_s),
             slack=self._slack,
         )
         worst = min(factors, key=lambda name: factors[name])
@@ -193,7 +188,7 @@ class TouchdownSequence:
         """How long from a commit until the feet touch, by the sink that the tilt by then asks for."""
         height_m = -self._generator.at(now_s).position_m[2]
         slowest_s = self._way_s(height_m, self._config.contact_speed_m_s)
-        needed_m_s2 = self.tilt.predicted_acceleration_m_s2(slowest_s)
+        needed_m_s2 = self._success.tilt.predicted_acceleration_m_s2(slowest_s)
         return self._way_s(height_m, self._levelling.sink_m_s(needed_m_s2))
 
     def _way_s(self, height_m: float, sink_m_s: float) -> float:
@@ -211,7 +206,7 @@ class TouchdownSequence:
         self._lowest_m = math.inf
         self.contact = ContactFilter(c, self._leg_std_m)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(
-            self.tilt.predicted_acceleration_m_s2(self._sinks_for_s(now_s))
+            self._success.tilt.predicted_acceleration_m_s2(self._sinks_for_s(now_s))
         )
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
@@ -226,7 +221,7 @@ class TouchdownSequence:
             self._lift_off(sight, now_s)
             return MissionEvent.MISALIGNED, slides
         # far aside it tilts because it flies back or escapes: it is not about to stand
-        tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self.tilt.tilt_rad
+        tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self._success.tilt.tilt_rad
         hangs_m = lowest_foot_m(self._vehicle, tilt_rad)
         asked_m_s, obeys = self._generator.at(now_s).velocity_m_s[2], not inputs.link.silent
         feet = feet_motion(
@@ -314,7 +309,7 @@ class TouchdownSequence:
         # that the ground's cushion slows is pressed after it; one that stands is told by not following it.
         tilts_on = not self._levelling.begun
         self._give_way(sight if tilts_on and not held_up else None, now_s)
-        self._levelling.expect(sight, self.tilt, now_s)
+        self._levelling.expect(sight, self._success.tilt, now_s)
         if high and sight.unseen_s <= UNSEEN_S and sight.height_m < self._lowest_m:
             # a gust may have held it up: while it comes lower than before, the contact is due by what is seen
             self._lowest_m = sight.height_m
@@ -332,7 +327,7 @@ class TouchdownSequence:
 
     def _sink_firmer(self, now_s: float) -> None:
         """Levelling off begins: by the tilt there is now, which a gust may have made since the commit."""
-        firm_m_s = self._levelling.sink_m_s(self.tilt.predicted_acceleration_m_s2(0.0))
+        firm_m_s = self._levelling.sink_m_s(self._success.tilt.predicted_acceleration_m_s2(0.0))
         if firm_m_s > self._levelling.planned_m_s:
             self._levelling.planned_m_s = firm_m_s
             self._generator.sink(firm_m_s, max(SINK_TAU_S, self._generator.end_s - now_s), now_s)
@@ -365,7 +360,9 @@ class TouchdownSequence:
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:
         """Whether it can stop and rise before a foot touches what is so far below."""
-        tilt_rad = max(self.tilt.tilt_rad, math.radians(self._config.contact_tilt_deg)) + _TILTS_MORE_RAD
+        tilt_rad = (
+            max(self._success.tilt.tilt_rad, math.radians(self._config.contact_tilt_deg)) + _TILTS_MORE_RAD
+        )
         sink_m_s = max(0.0, sink_m_s)
         stops_m = sink_m_s * RESPONDS_S + sink_m_s * sink_m_s / (2.0 * _STOPS_M_S2)
         hangs_m = self._vehicle.foot_reach_m * math.sin(tilt_rad)

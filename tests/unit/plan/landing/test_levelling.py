@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
@@ -28,10 +29,10 @@ LEVEL_M_S2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
 SINKS: Vector3 = (0.0, 0.0, CONFIG.contact_speed_m_s)
 
 
-def lead_after(excess_m_s2: float) -> float:
+def lead_after(excess_m_s2: float, std_m: float = STD_M) -> float:
     """How long before the contact it levels off a tilt that is so much more than it may have then."""
-    sink_m_s = min(CONFIG.firm_contact_m_s, excess_m_s2 * 2.0 * STD_M / CONFIG.lateral_speed_m_s)
-    return RESPONDS_S + STD_M / max(CONFIG.contact_speed_m_s, sink_m_s) + excess_m_s2 / 8.0
+    sink_m_s = min(CONFIG.firm_contact_m_s, excess_m_s2 * 2.0 * std_m / CONFIG.lateral_speed_m_s)
+    return RESPONDS_S + std_m / max(CONFIG.contact_speed_m_s, sink_m_s) + excess_m_s2 / 8.0
 
 
 LEAD_S = lead_after(0.0)
@@ -114,9 +115,24 @@ def test_what_a_level_vehicle_lacks_makes_it_drift_for_as_long_as_the_contact_is
 ) -> None:
     levelling_off, excess_m_s2 = Levelling(CONFIG, VEHICLE, 0.03 / math.sqrt(2.0)), 2.0
     late_m = math.hypot(STD_M, sink_std_m_s * lead_after(excess_m_s2))
-    drift_m_s = levelling_off.drift_std_m_s(LEVEL_M_S2 + excess_m_s2, sink_std_m_s)
+    drift_m_s, _ = levelling_off.drift(LEVEL_M_S2 + excess_m_s2, 0.0, sink_std_m_s, 2.0)
     assert drift_m_s == pytest.approx(excess_m_s2 * late_m / CONFIG.firm_contact_m_s)
-    assert levelling_off.drift_std_m_s(LEVEL_M_S2, sink_std_m_s) == 0.0
+    assert levelling_off.drift(LEVEL_M_S2, 0.0, sink_std_m_s, 2.0)[0] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("excess_m_s2", [-1.0, 0.0, 0.6, 2.0])
+def test_gusts_that_a_level_vehicle_cannot_meet_make_it_drift(excess_m_s2: float) -> None:
+    """Against a normal distribution, drawn and cut off where the vehicle's level meets it."""
+    levelling_off, std_m_s2 = Levelling(CONFIG, VEHICLE, 0.0), 0.4
+    lacks = np.maximum(0.0, excess_m_s2 + std_m_s2 * np.random.default_rng(3).standard_normal(200_000))
+    levels_s = lead_after(max(0.0, excess_m_s2), CONTACT_STD_M)
+    sink_m_s = levelling_off.sink_m_s(LEVEL_M_S2 + excess_m_s2)
+    late_s = CONTACT_STD_M / sink_m_s
+    drifts_m_s = math.sqrt((lacks**2).mean() * late_s**2 + lacks.var() * levels_s**2)
+    for ahead_s, share in ((2.0, 1.0), (0.5 * levels_s, 0.5)):
+        drift = levelling_off.drift(LEVEL_M_S2 + excess_m_s2, std_m_s2**2, 0.0, ahead_s)
+        assert drift[1] == pytest.approx(0.5 * share * levels_s * drift[0])
+        assert (drift[0] == pytest.approx(drifts_m_s, rel=0.02, abs=5e-4)) is (share == 1.0)
 
 
 @pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])

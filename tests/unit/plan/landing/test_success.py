@@ -31,7 +31,7 @@ def watched(config: TouchdownConfig = CONFIG, *, for_s: float = 20.0) -> Success
     """Of a vehicle that has followed the pad without an error for so long."""
     success, generator = SuccessEstimate(config), over_pad()
     for k in range(round(for_s / CYCLE_S)):
-        success.note(sight(), generator, k * CYCLE_S)
+        success.note(sight(), None, generator, k * CYCLE_S)
     return success
 
 
@@ -41,11 +41,11 @@ def factors(
     ahead_s: float = 0.0,
     *,
     sink_m_s: float = SINK_M_S,
-    drift_std_m_s: float = 0.0,
+    drift: tuple[float, float] = (0.0, 0.0),
     slack: float = 1.0,
 ) -> dict[str, float]:
     return success.factors(
-        seen, ahead_s, sink_m_s=sink_m_s, drift_std_m_s=drift_std_m_s, slack=slack
+        seen, ahead_s, sink_m_s=sink_m_s, drift=drift, slack=slack
     )  # fmt: skip
 
 
@@ -82,7 +82,7 @@ def test_it_comes_true_as_often_as_it_says() -> None:
     for k in range(round(8.0 / CYCLE_S)):
         offset, speed = shaken(rng, offset, speed, 1)
         for success, *row in zip(estimates, offset, speed, strict=True):
-            success.note(moving(*row), generator, k * CYCLE_S)
+            success.note(moving(*row), None, generator, k * CYCLE_S)
     for ahead_s in (0.6, 0.9, 2.2):
         said = np.array(
             [
@@ -149,10 +149,11 @@ def test_an_offset_that_may_be_the_estimates_own_noise_proves_little(std_m: floa
     assert (likely < 0.01) if std_m < 0.01 else (0.2 < likely < 0.5)
 
 
-def test_what_a_level_vehicle_drifts_by_makes_its_speed_unsure_and_nothing_else() -> None:
-    calm, wind = (factors(watched(), sight(), 2.0, drift_std_m_s=std_m_s) for std_m_s in (0.0, 0.24))
+def test_what_a_level_vehicle_drifts_by_makes_its_speed_and_offset_unsure_and_nothing_else() -> None:
+    calm, wind = (factors(watched(), sight(), 2.0, drift=drift) for drift in ((0.0, 0.0), (0.24, 0.035)))
     assert wind.pop("lateral speed") == pytest.approx(0.683, abs=0.01)  # one standard deviation
-    assert calm.pop("lateral speed") > 0.99
+    assert wind.pop("lateral offset") == pytest.approx(0.954, abs=0.01)  # two
+    assert min(calm.pop("lateral speed"), calm.pop("lateral offset")) > 0.99
     assert wind == calm
 
 
@@ -174,6 +175,6 @@ def test_while_the_pad_is_unseen_nothing_is_learnt() -> None:
     success, generator = watched(), over_pad()
     before = factors(success, sight(), 2.0)
     for k in range(60):
-        success.note(sight(aside=0.3, age=0.5), generator, 20.0 + k * CYCLE_S)
-        success.note(None, generator, 20.0 + k * CYCLE_S)
+        success.note(sight(aside=0.3, age=0.5), None, generator, 20.0 + k * CYCLE_S)
+        success.note(None, None, generator, 20.0 + k * CYCLE_S)
     assert factors(success, sight(), 2.0) == before

@@ -86,7 +86,7 @@ class Attempt:
         return self._sequence.feet_down(now_s)
 
     def note_tilt(self, attitude: Quaternion, now_s: float, seen: PadState | None = None) -> None:
-        self._sequence.tilt.note(attitude, seen, now_s)
+        self._success.tilt.note(attitude, seen, now_s)
 
     def step(
         self,
@@ -107,7 +107,7 @@ class Attempt:
         echo = None if echo_m is None else RangeSample(now_s - echo_age_s, echo_m)
         autopilot = AutopilotState(now_s, landed=landed, connected=True)
         inputs = PlanInputs(vehicle, None, autopilot, range=echo, link=LinkHealth(silent_s))
-        self._success.note(seen, self._generator, now_s)
+        self._success.note(seen, vehicle, self._generator, now_s)
         detected = touch_down(self._sequence, self.state, seen, inputs, now_s)
         if detected is None:
             return None
@@ -142,7 +142,8 @@ def fresh(
     success = SuccessEstimate(config)
     generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), -watched_s)
     for k in range(round(watched_s / CYCLE_S)):
-        success.note(seen_at(k * CYCLE_S - watched_s), generator, k * CYCLE_S - watched_s)
+        now_s = k * CYCLE_S - watched_s
+        success.note(seen_at(now_s), None, generator, now_s)
     generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
     standing = StandingHeight(VEHICLE)
     standing.measured_m["the rangefinder"] = VEHICLE.leg_height_m, 0.0
