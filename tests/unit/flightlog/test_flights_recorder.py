@@ -217,7 +217,7 @@ def test_what_a_card_that_hangs_for_over_a_minute_costs_is_counted_and_told(
         log.end()
     answers.set()
     if not ends_first:
-        until(lambda: log.flight_folder is not None)
+        assert soon(lambda: log.flight_folder is not None)
         assert "29 messages lost" in (log.problem or "")
     log.close()
     folder = tmp_path / "flight-0001"
