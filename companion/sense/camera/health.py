@@ -5,11 +5,12 @@ is not older than it can be, is not the last image over again, is not of one gre
 good one for `Patience.trouble_s` the camera is in trouble, and why is reported; trouble that lasts makes it
 lost, and it is to be opened anew.
 
-Judgements of images rest on noise: no sensor gives the same number for thousands of pixels twice. A lower
-part that is all white is none that is empty: glare is just that.
+Judgements of images rest on noise: no sensor gives the same number for thousands of pixels twice. A decoder
+does: what did not change is not sent again, so in decoded video rows that are the last image's are no tear. A
+lower part that is all white is none that is empty: glare is just that.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Final, Literal
 
@@ -38,9 +39,12 @@ class Patience:
     content_s: float  # with frames of no use: opened anew
     first_s: float  # for the first frame, instead of the first two
     oldest_s: float  # a frame's age on arrival
+    decoded: bool = False  # rows of the last image may come again
 
 
-def patience_with(camera: CaptureConfig, source: Literal["device", "socket", "recording"]) -> Patience:
+def patience_with(
+    camera: CaptureConfig, source: Literal["device", "stream", "socket", "recording"]
+) -> Patience:
     """What a camera of that rate may be allowed.
 
     Trouble is reported within 0.3 s at any rate. A connection that is silent is not mended by parting, so a
@@ -51,10 +55,12 @@ def patience_with(camera: CaptureConfig, source: Literal["device", "socket", "re
     match source:
         case "device":
             return Patience(trouble_s, silent_s=1.0, content_s=1.0, first_s=3.0, oldest_s=0.5)
+        case "stream":
+            return replace(patience_with(camera, "device"), decoded=True)
         case "socket":
             return Patience(trouble_s, silent_s=5.0, content_s=5.0, first_s=inf, oldest_s=inf)
         case "recording":
-            return Patience(inf, silent_s=inf, content_s=inf, first_s=inf, oldest_s=inf)
+            return Patience(inf, silent_s=inf, content_s=inf, first_s=inf, oldest_s=inf, decoded=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +75,9 @@ class FrameFault:
 class FrameJudge:
     """Holds each frame of one camera against the one before."""
 
-    def __init__(self, oldest_s: float) -> None:
-        """`oldest_s`: how old a frame may be on arrival."""
-        self._oldest_s = oldest_s
+    def __init__(self, oldest_s: float, *, decoded: bool = False) -> None:
+        """`oldest_s`: how old a frame may be on arrival; `decoded`: it is of a compressed video."""
+        self._oldest_s, self._decoded = oldest_s, decoded
         self._last: Frame | None = None
         self._last_sample: NDArray[np.uint8] | None = None
 
@@ -115,7 +121,8 @@ class FrameJudge:
             again = np.array_equal(frame.image, last.image)
             return FrameFault("content", "the same image repeated") if again else None
         # a row of one grey (clipped, white or black) is the same without being old
-        if _old_share(same & (sample != sample[:, :1]).any(axis=1)) >= LEAST_TORN:
+        old = same & (sample != sample[:, :1]).any(axis=1)
+        if not self._decoded and _old_share(old) >= LEAST_TORN:
             return FrameFault("content", "torn images: lower part of the previous one")
         return None
 
@@ -151,7 +158,7 @@ class CameraHealth:
     def __init__(self, patience: Patience, opened_s: float) -> None:
         """A camera that has been opened at that time."""
         self._patience = patience
-        self._judge = FrameJudge(patience.oldest_s)
+        self._judge = FrameJudge(patience.oldest_s, decoded=patience.decoded)
         self._opened_s = opened_s
         self._frame_s: float | None = None
         self._good_s: float | None = None  # the last good frame

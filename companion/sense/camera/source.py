@@ -91,6 +91,8 @@ async def keep_camera(
     open_it = partial(open_camera, spec, camera, unstamped_latency_s)
     if ADDRESS_FORM.fullmatch(spec) is not None:
         patience = patience_with(camera, "socket")
+    elif STREAM_FORM.fullmatch(spec) is not None:
+        patience = patience_with(camera, "stream")
     else:
         form = DEVICE_FORM.fullmatch(spec)
         recording = form is not None and form["recording"] is not None

@@ -1,14 +1,17 @@
 """A camera that is kept: lost in every way, told, and opened anew; in virtual time."""
 
 import asyncio
+import itertools
 import socket
 import threading
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,7 +22,7 @@ from companion.config import CameraConfig, ConfigError
 from companion.sense.camera import keeper as camera_keeper
 from companion.sense.camera.health import CameraHealth, patience_with
 from companion.sense.camera.keeper import CameraReport, KeptCamera, LiveSource
-from companion.sense.camera.reader import Device, EndOfFrames, Newest, ThreadedCamera
+from companion.sense.camera.reader import Device, EndOfFrames, Newest, ThreadedCamera, grey
 from tests.unit.sense.camera.camera_frames import AGE_S, ScriptedCamera, noisy_frame
 from tests.virtual_time import in_virtual_time
 
@@ -461,6 +464,34 @@ def test_garbage_is_named_within_a_third_of_a_second(fed: Fed, spoil: Spoil, tol
     assert told in trouble
     assert fed.now_s - fed.spoilt_s <= 0.3
     assert (fed.used > 5) if used else (fed.used <= 1)  # the first frozen one may be new
+
+
+def film(path: Path, moving_rows: int) -> list[NDArray[np.uint8]]:
+    """Frames as MPEG-4 gives them back: a ground that moves by, a leg below that does not, and noise."""
+    rng = np.random.default_rng(1)
+    ground = cv2.resize(rng.integers(60, 200, (120, 120)).astype(np.uint8), (960, 960)).astype(float)
+    leg = cv2.GaussianBlur(cv2.resize(rng.integers(15, 60, (4, 16)).astype(np.uint8), (640, 480)), (0, 0), 9)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (640, 480))
+    for k in range(60):
+        image = ground[2 * k : 2 * k + 480, 3 * k : 3 * k + 640].copy()
+        image[moving_rows:] = leg[moving_rows:]
+        noisy_image = np.clip(image + rng.normal(0.0, 0.3, image.shape), 0, 255).astype(np.uint8)
+        writer.write(cv2.cvtColor(noisy_image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    reader, frames = cv2.VideoCapture(str(path)), []
+    while (read := reader.read())[0]:
+        frames.append(grey(read[1]))
+    return frames
+
+
+def test_what_a_compressed_video_did_not_send_again_is_no_tear(tmp_path: Path, camera: CameraConfig) -> None:
+    frames = film(tmp_path / "leg.mp4", 384)
+    assert any(np.array_equal(a[400:], b[400:]) for a, b in itertools.pairwise(frames))
+    health = CameraHealth(patience_with(camera, "stream"), opened_s=99.9)
+    for k, image in enumerate(frames):
+        now_s = 100.0 + k * PERIOD_S
+        assert health.take(Frame(now_s - AGE_S, now_s, k, image), now_s)
+    assert health.trouble(now_s) is None
 
 
 def test_what_lasts_makes_the_camera_lost(fed: Fed) -> None:
