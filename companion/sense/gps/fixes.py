@@ -41,6 +41,8 @@ class EpochClock:
 
     def local_s(self, epoch_s: float, began_s: float) -> float:
         """App time of the receiver's `epoch_s`, whose messages began at `began_s`, plus the least delay."""
+        if math.isinf(self._offset_s):
+            self._epoch_s = epoch_s
         step_s = math.remainder(epoch_s - self._epoch_s, _DAY_S)
         self._epoch_s += step_s
         offset_s = began_s - self._epoch_s
