@@ -7,6 +7,7 @@ is worse than none. `read` gives what came, one byte or more, and raises OSError
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import math
 import os
@@ -300,10 +301,13 @@ async def open_transport(spec: str, system_id: int = 0, signing: LinkSigning | N
 
 
 def _may_come(error: Exception) -> bool:
-    """Whether it may open later: a port to be plugged in; over a network whatever is no malformed address."""
+    """Whether it may open later: a port to be plugged in, whoever is called over a network.
+
+    A port of ours that another program has is for the user to mend.
+    """
     if isinstance(error, serial.SerialException):
         return error.errno in ABSENT
-    return isinstance(error, OSError)
+    return isinstance(error, OSError) and error.errno != errno.EADDRINUSE
 
 
 def _reason(error: Exception) -> str:
