@@ -7,7 +7,7 @@ from companion.flightlog.record import FlightLog
 from tests.virtual_time import in_virtual_time
 
 
-class Kept(FlightLog):
+class LogKept(FlightLog):
     """A log that keeps what it is given."""
 
     def __init__(self) -> None:
@@ -22,7 +22,7 @@ class Kept(FlightLog):
 
 @in_virtual_time
 async def test_what_holds_on_is_told_once_in_a_run_and_stands_in_each_flights_log() -> None:
-    log, told = Kept(), list[Notice]()
+    log, told = LogKept(), list[Notice]()
     announcer = Announcer(Clock(), log, told.append)
     for text in ("link loss", "link loss", "no home"):
         announcer.notify_once("setup", text, "warning")
@@ -33,7 +33,7 @@ async def test_what_holds_on_is_told_once_in_a_run_and_stands_in_each_flights_lo
 
 @in_virtual_time
 async def test_what_comes_many_times_a_second_is_told_now_and_then_and_a_sequence_as_it_is() -> None:
-    log, told = Kept(), list[Notice]()
+    log, told = LogKept(), list[Notice]()
     announcer = Announcer(Clock(), log, told.append)
     for number in range(21):
         time_s = number * REPEATED_S / 10.0
@@ -46,7 +46,7 @@ async def test_what_comes_many_times_a_second_is_told_now_and_then_and_a_sequenc
 
 @in_virtual_time
 async def test_a_climb_is_told_each_time_however_soon_it_follows_another() -> None:
-    log, told = Kept(), list[Notice]()
+    log, told = LogKept(), list[Notice]()
     announcer = Announcer(Clock(), log, told.append)
     for time_s in (1.0, 1.2):
         announcer.publish(Notice(time_s, "climb", "climbing 6.0 m to look for the pad", "warning"))
