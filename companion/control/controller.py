@@ -266,9 +266,8 @@ class Controller:
             self._learn(start, target, disturbance, solution)
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
         boost = self._boost(start.motion, solution)
-        setpoint, limited = self._gate.apply(
-            setpoint, now_s, pressed_m_s2=disturbance[2], share=boost * (1.0 - plan.unloading)
-        )
+        setpoint = boosted(setpoint, boost * (1.0 - plan.unloading))
+        setpoint, limited = self._gate.apply(setpoint, now_s, pressed_m_s2=disturbance[2])
         self._plant.remember(boosted(setpoint, 1.0 / boost))
         predicted = solution.states[:, :3] - start.prediction.displacement_m[1:]
         return setpoint, ControlReport(

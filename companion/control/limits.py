@@ -5,32 +5,30 @@ any number that is not finite becomes a hold: no velocity, no acceleration, the 
 velocity that is not part of the setpoint has no bound, unless the vehicle exceeds the bound: then the
 velocity is sent after all.
 
-An attitude setpoint is bounded by the acceleration that it is to make: the attitude, and how its thrust is
-scaled, follow from what is left of that, so that what is logged is what is sent. `control.limits.tilt_deg`
-bounds its tilt, and one bound (jerk) the change of its acceleration and of g tan(tilt), the horizontal
-acceleration that the tilt gives while height is held.
-
-The horizontal part of every acceleration is bounded by g tan(tilt_deg), too. Without an attitude, a downward
-acceleration beside it needs more tilt, which the MPC's own bounds exclude and this gate does not. The
-acceleration that an autopilot's velocity loop adds to a velocity setpoint is not bounded here. NED and FRD,
-SI units.
+`control.limits.tilt_deg` bounds the tilt of an attitude setpoint by its horizontal acceleration without
+vertical acceleration, g tan(tilt), so that one bound on its change (jerk) serves both kinds of setpoint.
+The horizontal part of an acceleration has the same bound. Together with a downward acceleration it needs
+more tilt, which the MPC's own bounds exclude and this gate does not. The acceleration that an autopilot's
+velocity loop adds to a velocity setpoint is not bounded here. NED and FRD, SI units.
 """
 
 import math
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
-    ZERO3,
+    Quaternion,
     Vector3,
     add,
+    horizontal_acceleration,
     norm,
+    quat_normalise,
     scale,
     subtract,
     wrap_angle,
 )
 from companion.base.messages import Setpoint
 from companion.config import LimitsConfig
-from companion.control.attitude import attitude_from_acceleration, force_from_acceleration
+from companion.control.attitude import attitude_from_acceleration
 
 # a pause that is longer counts as this: the command jumps no further, and no more is learnt
 LONGEST_STEP_S = 0.2
@@ -49,24 +47,16 @@ class LimitsGate:
     def reset(self) -> None:
         """Start again: the next setpoint is bounded in size, and in change from nothing."""
         self._last: Setpoint | None = None
-        self._flown = ZERO3  # of the last one's acceleration
+        self._last_by_tilt: Vector3 | None = None
 
     def apply(
-        self,
-        setpoint: Setpoint,
-        now_s: float,
-        *,
-        on_ground: bool = False,
-        pressed_m_s2: float = 0.0,
-        share: float = 1.0,
+        self, setpoint: Setpoint, now_s: float, *, on_ground: bool = False, pressed_m_s2: float = 0.0
     ) -> tuple[Setpoint, tuple[str, ...]]:
         """The setpoint within all bounds, stamped `now_s`, and the names of the bounds that it broke.
 
         `on_ground` lifts the least thrust, and the bound on acceleration downwards: there no thrust at all is
-        what shows the autopilot that it has landed. What presses it down by `pressed_m_s2` may be met beyond
-        the bound on vertical acceleration. `share` scales the thrust of what is flown: for a tilt that lags,
-        and for feet that carry the rest. That, and what presses a standing vehicle down, is not flown: the
-        bound on change goes by what is.
+        what shows the autopilot that it has landed.
+        What presses it down by `pressed_m_s2` may be met beyond the bound on vertical acceleration.
 
         The stamp never runs backwards. After a `reset` nothing is known to have been sent, and the bounds on
         change (jerk, heading rate) do not apply to the first setpoint.
@@ -77,35 +67,25 @@ class LimitsGate:
             broken.append("not_finite")
             setpoint = self._stop(setpoint)
         heading = self._heading(setpoint.heading_rad, step_s, broken)
-        bound = self._config.vertical_acceleration_m_s2
-        down = -bound - max(0.0, pressed_m_s2), GRAVITY_M_S2 if on_ground else bound
-        flown = self._within_bounds(setpoint, down, broken)
-        if not on_ground:
-            flown = self._slewed(flown, step_s, broken, by_attitude=setpoint.attitude is not None)
-        x, y, z = flown
-        z += (1.0 - share) * (GRAVITY_M_S2 - z)
-        attitude, thrust = setpoint.attitude, setpoint.thrust
-        if attitude is None:
-            z = _between(z, *down, "vertical_acceleration", broken)
-        else:
-            attitude, x, y = attitude_from_acceleration(flown, heading), share * x, share * y
-        if thrust is not None:
-            asked = force_from_acceleration(setpoint.acceleration_ned_m_s2)
-            thrust *= share * norm(force_from_acceleration(flown)) / norm(asked)
-        self._flown = ZERO3 if on_ground else flown
         limited = Setpoint(
             time_s=time_s,
             velocity_ned_m_s=self._velocity(setpoint.velocity_ned_m_s, broken),
-            acceleration_ned_m_s2=(x, y, z),
+            acceleration_ned_m_s2=self._acceleration(
+                setpoint.acceleration_ned_m_s2,
+                step_s,
+                broken,
+                pressed_m_s2=max(0.0, pressed_m_s2),
+                on_ground=on_ground,
+            ),
             heading_rad=heading,
             heading_rate_rad_s=self._heading_rate(setpoint.heading_rate_rad_s, broken),
-            attitude=attitude,
-            thrust=self._thrust(thrust, on_ground, broken),
+            attitude=self._attitude(setpoint.attitude, heading, step_s, broken),
+            thrust=self._thrust(setpoint.thrust, on_ground, broken),
             exposure_time_s=setpoint.exposure_time_s,
             holds_horizontal_velocity=setpoint.holds_horizontal_velocity or "horizontal_speed" in broken,
         )
         self._last = limited
-        return limited, tuple(dict.fromkeys(broken))
+        return limited, tuple(broken)
 
     def _time(self, now_s: float, broken: list[str]) -> tuple[float, float]:
         if self._last is None:
@@ -126,43 +106,46 @@ class LimitsGate:
         low, high = -self._config.climb_speed_m_s, self._config.descent_speed_m_s
         return (x, y, _between(velocity[2], low, high, "vertical_speed", broken))
 
-    def _within_bounds(self, setpoint: Setpoint, down: tuple[float, float], broken: list[str]) -> Vector3:
-        """The acceleration within the bounds of its size: a convex set, as the bound on tilt is a cone."""
-        x, y, z = setpoint.acceleration_ned_m_s2
-        z = _between(z, *down, "vertical_acceleration", broken)
-        side, name = (
-            min(self._config.horizontal_acceleration_m_s2, self._by_tilt_m_s2),
-            "horizontal_acceleration",
-        )
-        if setpoint.attitude is not None:
-            by_tilt = self._by_tilt_m_s2 * max(0.0, 1.0 - z / GRAVITY_M_S2)
-            side, name = (by_tilt, "tilt") if by_tilt < side else (side, name)
-        return (*_within(x, y, side, name, broken), z)
+    def _acceleration(
+        self,
+        acceleration: Vector3,
+        step_s: float,
+        broken: list[str],
+        *,
+        pressed_m_s2: float,
+        on_ground: bool,
+    ) -> Vector3:
+        side = min(self._config.horizontal_acceleration_m_s2, self._by_tilt_m_s2)
+        x, y = _within(acceleration[0], acceleration[1], side, "horizontal_acceleration", broken)
+        bound = self._config.vertical_acceleration_m_s2
+        most = GRAVITY_M_S2 if on_ground else bound
+        z = _between(acceleration[2], -bound - pressed_m_s2, most, "vertical_acceleration", broken)
+        last = self._last.acceleration_ned_m_s2 if self._last else None
+        return self._slewed((x, y, z), last, step_s, "jerk", broken)
 
-    def _slewed(self, wanted: Vector3, step_s: float, broken: list[str], *, by_attitude: bool) -> Vector3:
-        """`wanted`, or as far towards it as the jerk allows; between two allowed vectors all are allowed.
+    def _attitude(
+        self, attitude: Quaternion | None, heading_rad: float, step_s: float, broken: list[str]
+    ) -> Quaternion | None:
+        if attitude is None:
+            self._last_by_tilt = None
+            return None
+        x, y = horizontal_acceleration(quat_normalise(attitude))
+        x, y = _within(x, y, self._by_tilt_m_s2, "tilt", broken)
+        self._last_by_tilt = self._slewed((x, y, 0.0), self._last_by_tilt, step_s, "tilt_rate", broken)
+        return attitude_from_acceleration(self._last_by_tilt, heading_rad)
 
-        With `by_attitude` g tan(tilt) changes no faster than that either: on the straight way from a to a + c
-        by the share s it changes by s |c + (0, 0, c_z) a / (g - a_z)| g / (g - a_z - s c_z), sideways. What
-        tilt an autopilot has that flew by its own loops is not known: the first attitude after it is free.
-        """
-        if self._last is None or (by_attitude and self._last.attitude is None):
+    def _slewed(
+        self, wanted: Vector3, last: Vector3 | None, step_s: float, name: str, broken: list[str]
+    ) -> Vector3:
+        """`wanted`, or as far towards it as the jerk allows; between two allowed vectors all are allowed."""
+        if last is None:
             return wanted
-        last, most = self._flown, self._config.jerk_m_s3 * step_s
-        change = subtract(wanted, last)
+        change, most = subtract(wanted, last), self._config.jerk_m_s3 * step_s
         size = norm(change)
-        shares = {"jerk": most / size if size > most * ROUNDING else 1.0}
-        if by_attitude:
-            upward = GRAVITY_M_S2 - last[2]
-            aside = [GRAVITY_M_S2 * (change[k] + last[k] * change[2] / upward) for k in (0, 1)]
-            turned, left = math.hypot(*aside), GRAVITY_M_S2 - wanted[2]
-            if turned > most * left * ROUNDING:
-                shares["tilt_rate"] = most * upward / (turned + most * change[2])
-        name = min(shares, key=lambda bound: shares[bound])
-        if shares[name] >= 1.0:
+        if size <= most * ROUNDING:
             return wanted
         broken.append(name)
-        return add(last, scale(change, shares[name]))
+        return add(last, scale(change, most / size))
 
     def _heading(self, heading_rad: float, step_s: float, broken: list[str]) -> float:
         if self._last is None:

@@ -94,8 +94,7 @@ def _assert_change(before: Setpoint, after: Setpoint) -> None:
     elapsed_s = min(after.time_s - before.time_s, LONGEST_STEP_S)
     assert elapsed_s >= 0.0
     most = CONFIG.jerk_m_s3 * elapsed_s + TOLERANCE
-    if after.attitude is None or before.attitude is not None:  # else it begins anew
-        assert norm(subtract(after.acceleration_ned_m_s2, before.acceleration_ned_m_s2)) <= most
+    assert norm(subtract(after.acceleration_ned_m_s2, before.acceleration_ned_m_s2)) <= most
     first, second = _tilt(before), _tilt(after)
     if first is not None and second is not None:
         assert norm(subtract(second, first)) <= most

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 
@@ -11,20 +10,16 @@ from companion.base.geometry import (
     IDENTITY,
     ZERO3,
     Vector3,
-    horizontal_acceleration,
-    norm,
-    quat_rotate,
-    subtract,
+    quat_from_euler,
     tilt_from_quat,
     yaw_from_quat,
 )
 from companion.base.messages import Setpoint
 from companion.config import LimitsConfig
+from companion.control.attitude import attitude_from_acceleration
 from companion.control.limits import LONGEST_STEP_S, LimitsGate
-from companion.control.setpoints import Heading, attitude_setpoint
 
 CONFIG = LimitsConfig()
-HOVER_THRUST = 0.4
 INSIDE, OUTSIDE = 1.0 - 1e-6, 1.0 + 1e-6
 
 
@@ -40,22 +35,10 @@ def _acceleration(x: float, y: float, z: float) -> Setpoint:
     return Setpoint(0.0, acceleration_ned_m_s2=(x, y, z))
 
 
-def _by_attitude(x: float, y: float, z: float) -> Setpoint:
-    return attitude_setpoint(0.0, ZERO3, (x, y, z), HOVER_THRUST, Heading(0.3))
-
-
-def _tilt(tilt_rad: float, direction_rad: float = 0.0, down_m_s2: float = 1.0) -> Setpoint:
-    """It sinks faster: there the tilt is reached before the bound on horizontal acceleration."""
-    pull = (GRAVITY_M_S2 - down_m_s2) * math.tan(tilt_rad)
-    return _by_attitude(pull * math.cos(direction_rad), pull * math.sin(direction_rad), down_m_s2)
-
-
-def _made(setpoint: Setpoint) -> Vector3:
-    """The acceleration that attitude and thrust make."""
-    assert setpoint.attitude is not None
-    assert setpoint.thrust is not None
-    x, y, z = quat_rotate(setpoint.attitude, (0.0, 0.0, -setpoint.thrust / HOVER_THRUST * GRAVITY_M_S2))
-    return (x, y, z + GRAVITY_M_S2)
+def _tilt(tilt_rad: float, direction_rad: float = 0.0) -> Setpoint:
+    pull = GRAVITY_M_S2 * math.tan(tilt_rad)
+    tilt = (pull * math.cos(direction_rad), pull * math.sin(direction_rad), 0.0)
+    return Setpoint(0.0, attitude=attitude_from_acceleration(tilt, 0.3), heading_rad=0.3, thrust=0.5)
 
 
 BOUNDS: list[tuple[str, Callable[[float], Setpoint]]] = [
@@ -71,9 +54,6 @@ BOUNDS: list[tuple[str, Callable[[float], Setpoint]]] = [
     ("heading_rate", lambda k: Setpoint(0.0, heading_rate_rad_s=-math.radians(90.0) * k)),
     ("thrust", lambda k: Setpoint(0.0, attitude=IDENTITY, thrust=1.0 * k)),
     ("thrust", lambda k: Setpoint(0.0, attitude=IDENTITY, thrust=0.05 / k)),
-    ("vertical_acceleration", lambda k: _by_attitude(0.0, 0.0, 3.0 * k)),
-    ("vertical_acceleration", lambda k: _by_attitude(2.0, 0.0, -3.0 * k)),
-    ("horizontal_acceleration", lambda k: _by_attitude(3.3 * k, -4.4 * k, 0.0)),
     ("tilt", lambda k: _tilt(math.radians(30.0) * k)),
     ("tilt", lambda k: _tilt(math.radians(30.0) * k, 2.0)),
 ]
@@ -117,8 +97,6 @@ def test_outside_a_bound_it_is_cut_back_to_it_and_named(
     assert limited.thrust == pytest.approx(edge.thrust)
     if limited.attitude is not None:
         assert limited.attitude == pytest.approx(edge.attitude, abs=1e-9)
-        if name != "thrust":
-            assert _made(limited) == pytest.approx(limited.acceleration_ned_m_s2, abs=1e-6)
 
 
 def test_the_tilt_bounds_the_acceleration_that_needs_it() -> None:
@@ -149,59 +127,10 @@ def test_tilt_changes_no_faster_than_the_jerk(factor: float) -> None:
     limited, broken = gate.apply(_tilt(math.atan(factor * 20.0 * step_s / GRAVITY_M_S2), 1.0), 1.0 + step_s)
     assert broken == (() if factor < 1.0 else ("tilt_rate",))
     assert limited.attitude is not None
-    assert _made(limited) == pytest.approx(limited.acceleration_ned_m_s2)
     assert tilt_from_quat(limited.attitude) == pytest.approx(
         math.atan(min(factor, 1.0) * 20.0 * step_s / GRAVITY_M_S2), rel=1e-5
     )
     assert yaw_from_quat(limited.attitude) == pytest.approx(0.3)
-
-
-@pytest.mark.parametrize("wanted", [(0.0, 0.0, -3.0), (4.0, 0.0, 0.0), (2.0, -3.0, 3.0), (-3.0, 3.0, -3.0)])
-def test_attitude_and_thrust_together_change_no_faster_than_the_jerk(wanted: Vector3) -> None:
-    gate, step_s, now_s = _gate(), 0.03, 1.0
-    last, _ = gate.apply(_by_attitude(-1.0, 0.5, 1.0), now_s)
-    for _ in range(20):
-        now_s += step_s
-        limited, _ = gate.apply(_by_attitude(*wanted), now_s)
-        made = _made(limited)
-        assert made == pytest.approx(limited.acceleration_ned_m_s2)
-        assert norm(subtract(made, _made(last))) <= 20.0 * step_s * OUTSIDE
-        assert last.attitude is not None
-        assert limited.attitude is not None
-        tilts = [(*horizontal_acceleration(s.attitude), 0.0) for s in (limited, last) if s.attitude]
-        assert norm(subtract(*tilts)) <= 20.0 * step_s * OUTSIDE
-        last = limited
-    assert _made(last) == pytest.approx(wanted)
-
-
-def test_what_is_not_flown_does_not_count_as_a_change() -> None:
-    gate = _gate()
-    gate.apply(_acceleration(0.0, 0.0, 5.0), 1.0, on_ground=True)
-    pressed, broken = gate.apply(_acceleration(0.0, 0.0, 5.0), 1.03, on_ground=True)
-    assert pressed.acceleration_ned_m_s2[2] == 5.0
-    assert broken == ()
-    off, _ = gate.apply(_acceleration(0.0, 0.0, -2.0), 1.06)
-    assert off.acceleration_ned_m_s2[2] == pytest.approx(-20.0 * 0.03)  # the slew begins at rest
-    for make in (_acceleration, _by_attitude):
-        gate = _gate()
-        gate.apply(make(0.0, 0.0, 0.0), 1.0, share=0.7)
-        back, broken = gate.apply(make(0.0, 0.0, 0.1), 1.03)
-        assert back.acceleration_ned_m_s2[2] == pytest.approx(0.1)
-        assert broken == ()
-
-
-@pytest.mark.parametrize("share", [0.6, 0.8, 1.1])
-def test_a_share_of_the_thrust_is_what_leaves(share: float) -> None:
-    wanted = _by_attitude(2.0, -1.0, 0.5)
-    limited, broken = _gate().apply(wanted, 0.0, share=share)
-    assert broken == ()
-    assert wanted.thrust is not None
-    assert limited.thrust == pytest.approx(share * wanted.thrust)
-    assert limited.attitude == pytest.approx(wanted.attitude)
-    assert _made(limited) == pytest.approx(limited.acceleration_ned_m_s2)
-    lifted, _ = _gate().apply(_acceleration(2.0, -1.0, 0.5), 0.0, share=share)
-    bounded = min(3.0, max(-3.0, GRAVITY_M_S2 - share * (GRAVITY_M_S2 - 0.5)))
-    assert lifted.acceleration_ned_m_s2 == pytest.approx((2.0, -1.0, bounded))
 
 
 @pytest.mark.parametrize("turn_deg", [8.9999, 9.0001, 90.0, -8.9999, -9.0001, -90.0])
@@ -219,7 +148,7 @@ def test_heading_turns_no_faster_than_allowed(turn_deg: float, start_deg: float)
 def test_a_limited_heading_is_the_attitudes_too() -> None:
     gate = _gate()
     gate.apply(_tilt(0.1), 0.0)
-    turned = replace(_by_attitude(0.0, 0.0, 0.0), heading_rad=2.0)
+    turned = Setpoint(0.0, attitude=quat_from_euler(0.0, 0.0, 2.0), heading_rad=2.0, thrust=0.5)
     limited, broken = gate.apply(turned, 0.1)
     assert "heading" in broken
     assert limited.attitude is not None
@@ -262,11 +191,12 @@ def test_an_attitude_after_setpoints_without_one_begins_anew() -> None:
 
 
 @pytest.mark.parametrize("size", [1e-4, 0.5, 1.0, 3.0])
-def test_an_attitude_counts_whatever_the_size_of_its_quaternion(size: float) -> None:
+def test_an_attitude_counts_by_its_direction(size: float) -> None:
     wanted = _tilt(math.radians(20.0), 1.0)
     assert wanted.attitude is not None
     w, x, y, z = (size * part for part in wanted.attitude)
-    limited, broken = _gate().apply(replace(wanted, attitude=(w, x, y, z)), 0.0)
+    scaled = Setpoint(0.0, attitude=(w, x, y, z), heading_rad=0.3, thrust=0.5)
+    limited, broken = _gate().apply(scaled, 0.0)
     assert broken == ()
     assert limited.attitude == pytest.approx(wanted.attitude, abs=1e-9)
 
@@ -344,11 +274,11 @@ def test_after_a_reset_bounds_on_change_begin_anew() -> None:
 
 
 def test_an_attitude_upside_down_is_brought_within_the_tilt() -> None:
-    limited, broken = _gate().apply(_by_attitude(0.0, -30.0, 30.0), 0.0)
-    assert broken == ("vertical_acceleration", "tilt")
+    setpoint = Setpoint(0.0, attitude=quat_from_euler(3.0, 0.0, 0.0), thrust=0.5)
+    limited, broken = _gate().apply(setpoint, 0.0)
+    assert broken == ("tilt",)
     assert limited.attitude is not None
     assert tilt_from_quat(limited.attitude) == pytest.approx(math.radians(CONFIG.tilt_deg))
-    assert _made(limited) == pytest.approx(limited.acceleration_ned_m_s2)
 
 
 def test_the_exposure_time_goes_through() -> None:
