@@ -354,9 +354,10 @@ class TouchdownSequence:
 
     def _wrong(self, sight: PadState, now_s: float) -> str:
         """Why this landing would probably be hard or off the mark; "" while it is fine."""
-        likely, worst = self._likely(sight, max(0.0, self._levelling.due_s - now_s))
-        wrong = sight.unseen_s <= UNSEEN_S and likely < _BREAKS_OFF
-        return worst if self._held.held_s("wrong", wrong, now_s) >= _WRONG_S else ""
+        likely, worst = 1.0, ""
+        if sight.unseen_s <= UNSEEN_S:  # else it may not be known yet when the contact is due
+            likely, worst = self._likely(sight, max(0.0, self._levelling.due_s - now_s))
+        return worst if self._held.held_s("wrong", likely < _BREAKS_OFF, now_s) >= _WRONG_S else ""
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:
         """Whether it can stop and rise before a foot touches what is so far below."""
