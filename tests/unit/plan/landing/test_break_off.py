@@ -1,6 +1,7 @@
 """When the final descent is broken off, and how it climbs then."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -193,3 +194,11 @@ def test_who_gives_the_final_descent_up_climbs_at_once(lateral_m: float) -> None
     lowest_m = max(touchdown._generator.at(late_s + 0.01 * k).position_m[2] for k in range(30))
     assert lowest_m < before.position_m[2] + 0.03
     assert touchdown._generator.at(late_s + 0.3).velocity_m_s[2] == pytest.approx(-0.3, abs=0.01)
+
+
+def test_a_turning_pad_that_is_lost_right_after_the_commit_does_not_end_the_descent() -> None:
+    # no fresh sighting has told by then when the contact is due
+    touchdown, lost = sinking(), replace(sight(age=0.3), turn_rate_rad_s=0.3)
+    for k in range(3):
+        assert touchdown.step(lost, 1.0 + k * CYCLE_S, imu_age_s=0.0) is None
+    assert touchdown.committed
