@@ -5,7 +5,7 @@ height on which the vehicle stands when it is first seen, disarmed. There lies t
 the scenario gives it. The pad sets off when the vehicle is armed, and is back at its start when that is
 disarmed without having flown; it drives by the clock of the vehicle's simulator. Touchdown is when a foot
 meets the ground; its own simulator does not carry a vehicle on the pad along, so the pad goes with the
-vehicle until it flies again (`touched_pad`).
+vehicle until it flies again (`TouchedPad`).
 
 NED from where the vehicle was first seen, z = 0 the ground, the vehicle's reference point at its airframe's
 standing height over it; SI.
@@ -69,7 +69,7 @@ class ExternalWorld:
         _check_level(motion, scenario)
         self._obstacles = Obstacles(scenario.obstacles, airframe.body)
         self.track = PoseTrack()
-        self._pad = TouchedPad(motion, airframe.legs.friction, self.track.at)
+        self._pad = TouchedPad(motion, airframe.legs.friction, self._standing_m, self.track.at)
         self.origin: Vector3 | None = None
         self._forget_flight()
 
@@ -171,11 +171,15 @@ class ExternalWorld:
         )
 
     def range_m(self, sensor_body_m: Vector3, half_beam_rad: float) -> float | None:
-        """First echo (m) from the level ground in a cone about the body's down axis, now; None: none."""
+        """First echo (m) from the level ground, or the pad that sank with the vehicle; None: none.
+
+        In a cone about the body's down axis, now.
+        """
         pose = self.track.newest
         if pose is None:
             return None
-        height = -(pose.position_ned_m[2] + quat_rotate(pose.attitude, sensor_body_m)[2])
+        below = self._pad.sunk_m(pose)
+        height = below - (pose.position_ned_m[2] + quat_rotate(pose.attitude, sensor_body_m)[2])
         return height if height > 0.0 and tilt_from_quat(pose.attitude) <= half_beam_rad else None
 
     @property
@@ -227,6 +231,10 @@ def _body(pose: Pose) -> QuadrotorState:
 # the contact is slowed down by the feet's friction, as on a deck. Once the feet are clear it drives on from
 # there.
 #
+# Down as well: the ground of PX4's SIH stops what falls, and lets through what sinks with more thrust than
+# its weight (one flight sank 11 cm into it at 0.2 m/s, for 1 s). A pad that stayed would rise through the
+# feet, into the camera.
+#
 # It drives by the clock of the vehicle's simulator: while that stands still, so do both.
 #
 # NED, SI units. Pure; `at` may be called from another thread than the rest.
@@ -255,8 +263,8 @@ class _Stretch(NamedTuple):
 class TouchedPad:
     """A pad's motion that a vehicle interrupts; `pose_at` is the vehicle's at a time of the last second."""
 
-    def __init__(self, motion: PadMotion, friction: float, pose_at: PoseAt) -> None:
-        self._motion, self._pose_at = motion, pose_at
+    def __init__(self, motion: PadMotion, friction: float, standing_m: float, pose_at: PoseAt) -> None:
+        self._motion, self._standing_m, self._pose_at = motion, standing_m, pose_at
         self._slows_m_s2 = friction * GRAVITY_M_S2
         self.stop()
 
@@ -300,16 +308,26 @@ class TouchedPad:
             return pad._replace(position_ned_m=moved)
         velocity = ZERO3
         if stretch.contact is not None:
-            moved = add(moved, self._carried_m(stretch, time_s))
+            pose = self._pose_at(time_s)
+            sunk_m = self._sunk_m(stretch, pose)
+            moved = add(add(moved, self._carried_m(stretch, time_s)), (0.0, 0.0, sunk_m))
             slows = self._sliding_s(stretch, time_s) * self._slows_m_s2
-            north, east, _ = self._pose_at(time_s).velocity_ned_m_s
-            velocity = add((north, east, 0.0), _shortened(stretch.slip_m_s, slows))
+            north, east, down = pose.velocity_ned_m_s
+            carried = (north, east, down if sunk_m > 0.0 else 0.0)
+            velocity = add(carried, _shortened(stretch.slip_m_s, slows))
         return pad._replace(
             position_ned_m=moved,
             velocity_ned_m_s=velocity,
             acceleration_ned_m_s2=ZERO3,
             heading_rate_rad_s=0.0,
         )
+
+    def sunk_m(self, pose: Pose) -> float:
+        """How far the pad is below the ground, under the vehicle with this newest pose."""
+        return self._sunk_m(self._stretches[-1], pose)
+
+    def _sunk_m(self, stretch: _Stretch, pose: Pose) -> float:
+        return max(0.0, pose.position_ned_m[2] + self._standing_m) if stretch.contact is not None else 0.0
 
     def _phase_s(self, stretch: _Stretch, time_s: float) -> float:
         return stretch.phase_s + (self._simulated_s(time_s) - stretch.simulated_s if stretch.drives else 0.0)

@@ -249,3 +249,17 @@ def test_the_ultrasonic_hears_the_ground_under_a_level_vehicle() -> None:
     )
     world.see(rolled, armed=True)
     assert world.range_m((0.0, 0.0, 0.05), 0.26) is None
+
+
+def test_the_ultrasonic_hears_the_pad_that_sank_into_the_ground_with_the_vehicle() -> None:
+    flight, contact_s = hop(4.0, 3.0)
+    world = play(ExternalWorld(static(), 0), flight, contact_s + 0.1)
+    standing = world.range_m((0.0, 0.0, 0.05), 0.26)
+    assert standing == pytest.approx(STANDING_M - 0.05, abs=0.005)
+    newest = world.track.newest
+    assert newest is not None
+    for k in range(1, 26):
+        below = sample(newest.time_s + k * STEP_S, (4.0, 3.0, 0.2 * k * STEP_S), (0.0, 0.0, 0.2))
+        world.see(below, armed=True)
+    assert world.pad_at(newest.time_s + 0.5).position_ned_m[2] == pytest.approx(0.1, abs=0.01)
+    assert world.range_m((0.0, 0.0, 0.05), 0.26) == pytest.approx(standing, abs=0.005)

@@ -10,6 +10,7 @@ from sitl.pad.motion import build_pad_motion
 from sitl.scenario.scenario import Scenario
 
 FRICTION = 0.6
+STANDING_M = 0.18
 
 
 class StoppedVehicle:
@@ -18,6 +19,7 @@ class StoppedVehicle:
     def __init__(self, speed_m_s: float, stops_in_s: float = 0.0) -> None:
         self.speed_m_s, self.stops_in_s = speed_m_s, stops_in_s
         self.pauses_s = 0.0  # its simulator, at 5 s
+        self.sunk_m = self.sinks_m_s = 0.0  # into its simulator's ground
 
     def simulated_s(self, time_s: float) -> float:
         return time_s - min(max(time_s - 5.0, 0.0), self.pauses_s)
@@ -30,7 +32,8 @@ class StoppedVehicle:
             t = min(since_s, self.stops_in_s)
             share = t / self.stops_in_s if self.stops_in_s else 1.0
             east, speed = self.speed_m_s * t * (1.0 - 0.5 * share), self.speed_m_s * (1.0 - share)
-        return Pose(time_s, (0.0, east, -0.18), (0.0, speed, 0.0), IDENTITY, ZERO3, self.simulated_s(time_s))
+        position, velocity = (0.0, east, self.sunk_m - STANDING_M), (0.0, speed, self.sinks_m_s)
+        return Pose(time_s, position, velocity, IDENTITY, ZERO3, self.simulated_s(time_s))
 
 
 def departed(vehicle: StoppedVehicle, *, touched: bool = True) -> TouchedPad:
@@ -42,7 +45,10 @@ def departed(vehicle: StoppedVehicle, *, touched: bool = True) -> TouchedPad:
     }
     pad = Scenario.model_validate({"name": "t", "description": "t", "pad": settings}).pad
     moved = TouchedPad(
-        build_pad_motion(pad.motion, 0.0, pad.heading, np.random.default_rng(0)), FRICTION, vehicle.at
+        build_pad_motion(pad.motion, 0.0, pad.heading, np.random.default_rng(0)),
+        FRICTION,
+        STANDING_M,
+        vehicle.at,
     )
     moved.depart(0.0)
     if touched:
@@ -90,3 +96,18 @@ def test_it_stands_still_while_the_vehicle_s_simulator_does() -> None:
     before, after = pad.at(5.0).position_ned_m, pad.at(5.25).position_ned_m
     assert after == pytest.approx(before)
     assert pad.at(6.25).position_ned_m[1] == pytest.approx(before[1] + 1.0)
+
+
+def test_it_goes_down_with_a_vehicle_that_its_simulator_lets_into_the_ground_and_no_further_up() -> None:
+    vehicle = StoppedVehicle(1.0)
+    pad = departed(vehicle)
+    for vehicle.sunk_m, vehicle.sinks_m_s, down_m, speed_m_s in (
+        (0.11, 0.2, 0.11, 0.2),
+        (-0.01, 0.2, 0.0, 0.0),
+    ):
+        assert pad.sunk_m(vehicle.at(11.0)) == pytest.approx(down_m)
+        assert pad.at(11.0).position_ned_m[2] == pytest.approx(down_m)
+        assert pad.at(11.0).velocity_ned_m_s[2] == pytest.approx(speed_m_s)
+    vehicle.sunk_m = 0.11
+    pad.release(11.0)
+    assert pad.sunk_m(vehicle.at(11.1)) == 0.0
