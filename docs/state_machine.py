@@ -279,7 +279,7 @@ def _list(states: Iterable[State]) -> str:
 
 def _request(action: Action) -> str:
     higher = f" {action.height_m:g} m higher" if action.height_m else ""
-    return _words(action.kind) + higher + (" by force" if action.force else "")
+    return _words(action.kind) + higher + (" (by force if refused)" if action.force else "")
 
 
 def _name(state: State) -> str:

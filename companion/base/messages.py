@@ -429,9 +429,9 @@ class Action:
     """One request to the autopilot or the ground station.
 
     `position` is latitude (deg), longitude (deg) and height over home (m); so is `height_m`, over home: to
-    take off to, and for a HOLD to rise to first unless 0. `force` lets a DISARM through
-    that the autopilot refuses because it considers itself in the air: in the air it drops the vehicle, so
-    only a touchdown that is shown to have been at rest for `land_after_s` may ask for it.
+    take off to, and for a HOLD to rise to first unless 0. A DISARM is asked plainly; with `force` then by
+    force, where the autopilot refuses because it considers itself in the air: in the air that drops the
+    vehicle, so only one that is shown to rest on the pad for `land_after_s`, or to lie on its side, gets it.
     """
 
     kind: ActionKind

@@ -6,20 +6,21 @@ Relative to the pad, NED axes, m and s. What is detected says what may follow; t
 During the sink the speed counts, not the height: what was lost while the pad fell away is not made up for,
 since that would be a faster contact.
 
-It commits (`wait`, `rise`) when, for `settled_s`, it is where it waits or higher, the pad is seen, the
-contact will probably be within the limits (`SuccessEstimate`; what is probable enough falls with the time
-waited) and no obstacle comes near on the way down; and, by the mission's table, the pad is inside the fence
-until the landing ends.
+It commits (`wait`, `rise`) when, for `settled_s`, it is no more than `WITHIN_HAND_M` below where it waits,
+the pad is seen, the contact will probably be within the limits (`SuccessEstimate`; what is probable enough
+falls with the time of the try, which goes on over a break-off) and no obstacle comes near on the way down;
+and, by the mission's table, the pad is inside the fence until the landing ends.
 
 `sink` checks in this order:
-  1. about to slide off the pad, while the IMU is heard: MISALIGNED;
+  1. about to slide off the pad, seen below `_low_m`, while the IMU is heard: MISALIGNED;
   2. contact, by its filter, or by echoes alone while the pad is unseen for `blind_s`: CONTACT;
   3. contact begins to show, or the IMU is silent: nothing else counts;
-  4. the pad lost: PAD_LOST with room to rise, else PAD_GONE;
+  4. the pad lost, unseen for `blind_s` or not below by the echoes: PAD_LOST with room to rise, else PAD_GONE;
   5. no contact in time: PAD_GONE if a height says that the feet are down, or, over a pad out of view, once no
      sink has been felt for as long; else, of a vehicle that sinks or hovers in view, MISALIGNED;
   6. it will probably not be within the limits, with room: BREAK_OFF;
-  7. so far aside that a foot may miss the pad: MISALIGNED, even without room.
+  7. so far aside that a foot may miss the pad, above `_low_m`: MISALIGNED, even without room.
+While the pad is unseen (`UNSEEN_S`) 1, 6 and 7 say nothing: it sinks on by the prediction.
 """
 
 from __future__ import annotations
@@ -103,6 +104,7 @@ class TouchdownSequence:
         self._leg_std_m = standing_height.std_m
         self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m
         self._wait_height_m = vehicle.leg_height_m + landing.wait_height_m
+        # lower, a foot may touch: there the offset aside leads to no climb any more, and a slide does
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._standing = LandDetector(config, vehicle, now_s)
         self._gives_way, self._contact_due_s = StepClock(), now_s

@@ -28,7 +28,9 @@ class State(StrEnum):
     WAIT = "wait"  # just over the pad, for a moment to land
     SINK = "sink"  # committed: down at a constant speed
     RISE = "rise"  # broken off: back up to where it waits
-    SET_DOWN = "set_down"  # too low to rise, and nothing to follow: straight down, by the autopilot's LAND
+    # straight down, by the autopilot's LAND: after SINK, too low to rise without the pad, or at any height
+    # without our own estimate, without a plan, or once its time is over
+    SET_DOWN = "set_down"
     STAND = "stand"  # the feet are on the pad
     # LAND is asked for and the thrust is taken away: after a contact of SET_DOWN, or after STAND when nothing
     # shows the feet down or the time is over

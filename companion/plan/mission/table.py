@@ -11,7 +11,8 @@ Its rules:
   the vehicle climbs clear first. A lost or disputed estimate, a controller without a plan and a late link
   leave no time for that;
   COMMITTED states heed, of what may come anywhere, only TAKEN_OVER, DISARMED, TIPPED_OVER, their own
-  time and a low battery (no new try), and SINK a lost or disputed estimate and a controller without a plan;
+  time and a low battery (no new try), and SINK a lost or disputed estimate and a controller without a plan.
+  What lasts acts once a try has failed, as a STOP does, which holds until the mission ends;
   a vehicle that a pilot flew when the landing was ordered, and that the app never controlled, stays in the
   pilot's mode; once control was asked for, it is put into a hold if it obeys setpoints, whatever it answered;
   a PX4 that is disarmed in the app's OFFBOARD is put into Hold, so that it can be armed again.
@@ -62,7 +63,8 @@ _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), A
 _TAKE_CONTROL, _HOLD = Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD)
 _HOLD_IF_OBEYED = Action(ActionKind.HOLD_IF_OBEYED)
 _LAND, _DISARM = Action(ActionKind.LAND), Action(ActionKind.DISARM)
-# In the air it would drop the vehicle: only once the vehicle is shown to stand, or to lie on its side.
+# Plainly first, by force only where that is refused (`PymavlinkActions.disarm`). In the air it would drop the
+# vehicle: only once the vehicle is shown to stand, or to lie on its side.
 _FORCE_DISARM = Action(ActionKind.DISARM, force=True)
 
 
@@ -119,6 +121,7 @@ _NOT_YET = "before take-off; in standby a pilot may fly"
 _FLIES_ITSELF = "the autopilot navigates"
 _FINISHES = "committed: finishing is gentler than breaking off"
 _STANDS = "it stands on the pad"
+_DOUBTED = "it stands on the pad; a shorter silence already makes that doubtful (off pad)"
 _NOTHING_ASKED = "nothing is requested yet; an armed vehicle ends the mission in any mode"
 _WAITS_FOR_OPERATOR = "it waits for an order, and asks for nothing"
 _LANDS = "the autopilot lands already"
@@ -300,7 +303,12 @@ ROWS: Final = (
         IN_AIR,
         *_NEVER_OURS,
         Branch(S.AWAIT_LINK),
-        except_={**_EARLY, **_all(HOLDING, "it holds already"), **_GO_ON},
+        except_={
+            **_EARLY,
+            **_all(HOLDING, "it holds already"),
+            **_all(GOING_DOWN, _FINISHES),
+            **_all(ON_PAD, _DOUBTED),
+        },
     ),
     *_rows(
         E.LINK_UP,
