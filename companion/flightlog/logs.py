@@ -67,7 +67,8 @@ def export(folder: Path, output: Path | None) -> None:
 
 
 def convert_log(source: Path, output: Path | None, form: TableFormat) -> None:
-    folder = output or source.with_name("tables")
+    """Write a log's tables into a new folder."""
+    folder = _new(output or source.with_name("tables"))
     written = convert(source, folder, form)
     typer.echo(f"{folder}: {len(written)} tables, {sum(written.values())} rows of {source}")
 
@@ -116,5 +117,5 @@ def _copy(stream: IO[bytes], new: IO[bytes]) -> tuple[list[int], bool]:
 
 def _new(target: Path) -> Path:
     if target.is_file() or target.is_dir():
-        raise ConfigError(f"{target}: exists already; expected a new file, by --output")
+        raise ConfigError(f"{target}: exists already; expected a new one, by --output")
     return target

@@ -355,6 +355,8 @@ def test_a_log_becomes_tables(log: Path, tmp_path: Path, form: str) -> None:
     words = ("-m", "companion.cli", "logs", "convert", log, "--to", form, "-o", tmp_path / "tables")
     done = subprocess.run((sys.executable, *words), capture_output=True, text=True, check=True, timeout=120)
     assert "tables" in done.stdout
+    again = subprocess.run((sys.executable, *words), check=False, capture_output=True, text=True, timeout=120)
+    assert (again.returncode, "exists already; expected a new one, by --output" in again.stderr) == (2, True)
     if form == "csv":
         lines = (tmp_path / "tables" / "vehicle.csv").read_text().splitlines()
         row = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
