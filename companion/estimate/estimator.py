@@ -309,9 +309,14 @@ class StateEstimator:
         assert attitude is not None
         turned_rad = self._motion.turned_rad(time_s, self._config.pad.exposure_jitter_s)
         gyro_rad2 = self._motion.turn_density_rad2_s * FRAMES_APART_S
-        velocity = self._vehicle.velocity(time_s)
+        vehicle = self._vehicle
         return VehicleAtExposure(
-            time_s, attitude, turned_rad**2 + gyro_rad2, velocity, partial(self._vehicle.place, time_s)
+            time_s,
+            attitude,
+            turned_rad**2 + gyro_rad2,
+            vehicle.velocity(time_s),
+            vehicle.velocity_std_m_s,
+            partial(vehicle.place, time_s),
         )
 
     # ------------------------------------------------------------ outputs

@@ -51,6 +51,7 @@ def in_ned(beacon: PadBeacon, exposure: VehicleAtExposure) -> RelativeFix | None
         position_ned_m=subtract(at, place.position_ned_m),
         covariance_ned_m2=np.diag(noise),
         vehicle_velocity_ned_m_s=exposure.velocity_ned_m_s,
+        vehicle_velocity_std_m_s=exposure.velocity_std_m_s,
         relative_velocity=velocity,
         common=CommonError("beacon", _each(math.hypot, off_m, late_m), WANDER_S),
     )

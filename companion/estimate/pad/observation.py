@@ -15,7 +15,7 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.base.geometry import FloatArray, Quaternion, Vector3
+from companion.base.geometry import ZERO3, FloatArray, Quaternion, Vector3
 from companion.estimate.motion import VehiclePlace
 from companion.estimate.pad.model_bank import ModelTransition
 
@@ -59,6 +59,7 @@ class RelativeFix:
         position_ned_m: pad minus vehicle at the exposure.
         covariance_ned_m2: of the noise from one to the next alone (3, 3).
         vehicle_velocity_ned_m_s: at the exposure.
+        vehicle_velocity_std_m_s: of that, axis by axis.
         relative_velocity: where the source measures that, too.
         common: what its positions are off by alike; None: nothing.
     """
@@ -67,6 +68,7 @@ class RelativeFix:
     position_ned_m: Vector3
     covariance_ned_m2: FloatArray
     vehicle_velocity_ned_m_s: Vector3
+    vehicle_velocity_std_m_s: Vector3 = ZERO3
     relative_velocity: RelativeVelocity | None = None
     common: CommonError | None = None
 
@@ -75,13 +77,14 @@ class VehicleAtExposure(NamedTuple):
     """The vehicle at an exposure.
 
     `jitter_rad2` is the variance of an angle on an axis by the exposure's jitter and the gyroscope's noise,
-    `place()` the vehicle's on Earth, None without GPS.
+    `velocity_std_m_s` is axis by axis, `place()` the vehicle's on Earth, None without GPS.
     """
 
     time_s: float
     attitude: Quaternion
     jitter_rad2: float
     velocity_ned_m_s: Vector3
+    velocity_std_m_s: Vector3
     place: Callable[[], VehiclePlace | None]
 
 

@@ -422,7 +422,7 @@ class PadFilter:
         R: FloatArray,
         velocity: VelocityEstimate | None = None,
     ) -> None:
-        """From one place: the pad may stand still or drive at a few m/s, the vehicle's speed is known.
+        """From one place: the pad may stand or drive at a few m/s, the vehicle knows its own speed so far.
 
         Or with the relative velocity of its own that is given.
         """
@@ -430,8 +430,9 @@ class PadFilter:
         P[plane, :2, :2], P[climb, 0, 0] = R[:2, :2], R[2, 2]
         if velocity is None:
             vn, ve, vd = scale(sample.vehicle_velocity_ned_m_s, -1.0)
-            P[plane, 2, 2] = P[plane, 3, 3] = self._config.first_speed_std_m_s**2
-            P[climb, 2, 2] = FIRST_CLIMB_STD_M_S**2
+            first, (sn, se, sd) = self._config.first_speed_std_m_s**2, sample.vehicle_velocity_std_m_s
+            P[plane, 2, 2], P[plane, 3, 3] = first + sn**2, first + se**2
+            P[climb, 2, 2] = FIRST_CLIMB_STD_M_S**2 + sd**2
         else:
             (vn, ve, vd), covariance, shared = velocity
             P[plane, 2:4, 2:4], P[climb, 2, 2] = covariance[:2, :2], covariance[2, 2]

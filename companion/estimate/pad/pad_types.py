@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.base.geometry import EYE3, FloatArray, Vector3, vector3
+from companion.base.geometry import EYE3, ZERO3, FloatArray, Vector3, vector3
 from companion.estimate.gating import Gate
 from companion.estimate.motion import rotation_lever
 from companion.estimate.pad.model_bank import BankState
@@ -46,7 +46,8 @@ class PadMeasurement:
     covariance_ned_m2: FloatArray
     heading_rad: float
     heading_std_rad: float
-    vehicle_velocity_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
+    vehicle_velocity_ned_m_s: Vector3 = ZERO3
+    vehicle_velocity_std_m_s: Vector3 = ZERO3  # axis by axis
     slow_variance_m2: float = 0.0
     tilt_rad: tuple[float, float] | None = None  # as of `PadTilt`
     tilt_std_rad: float = 0.0

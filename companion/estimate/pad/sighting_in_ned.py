@@ -52,6 +52,7 @@ def in_ned(sighting: PadSighting, exposure: VehicleAtExposure) -> PadMeasurement
         heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
         heading_std_rad=math.sqrt(max(turn, 0.0) + jitter),
         vehicle_velocity_ned_m_s=exposure.velocity_ned_m_s,
+        vehicle_velocity_std_m_s=exposure.velocity_std_m_s,
         slow_variance_m2=slow,
         tilt_rad=(north, east),
         tilt_std_rad=math.sqrt(max(tilt_n, tilt_e, 0.0) + jitter),

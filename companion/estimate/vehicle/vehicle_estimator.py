@@ -258,6 +258,11 @@ class VehicleEstimator:
             return ZERO3
         return add(vector3(self._ekf.x[model.VELOCITY]), self.motion.moved(self._ekf.time_s, time_s)[1])
 
+    @property
+    def velocity_std_m_s(self) -> Vector3:
+        """Of that velocity, axis by axis; zero before the alignment."""
+        return ZERO3 if self._ekf is None else vector3(np.sqrt(self._ekf.P.diagonal()[model.VELOCITY]))
+
     def place(self, time_s: float) -> VehiclePlace | None:
         """Where on Earth it was at a time near the newest sample's; None without GPS lately."""
         ekf, origin = self._ekf, self.origin

@@ -25,7 +25,7 @@ FORGET_S = PadFilterConfig().forget_s
 def exposure(time_s: float, position: Vector3 = ZERO3, own_std_m: float = 1.0) -> VehicleAtExposure:
     stds = (own_std_m, own_std_m, 1.5 * own_std_m)
     place = VehiclePlace(position, stds, (0.1, 0.1, 0.15), ORIGIN)
-    return VehicleAtExposure(time_s, IDENTITY, 0.0, ZERO3, lambda: place)
+    return VehicleAtExposure(time_s, IDENTITY, 0.0, ZERO3, ZERO3, lambda: place)
 
 
 def told(time_s: float, position_ned_m: Vector3, velocity: Vector3, std_m: float = 1.5) -> PadBeacon:

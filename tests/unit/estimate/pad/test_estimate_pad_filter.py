@@ -70,6 +70,19 @@ def test_first_sighting_starts_the_filter() -> None:
     assert math.sqrt(np.trace(estimate.P[3:6, 3:6])) > 2.0
 
 
+def test_a_pad_is_found_by_a_vehicle_that_hardly_knows_how_fast_it_flies() -> None:
+    """As after a minute without GPS: it is 14 m/s off, two standard deviations, and says so."""
+    bench = PadFilterBench()
+    for k in range(60):
+        fix = bench.sighting(k / 30)
+        drifted = replace(
+            fix, vehicle_velocity_ned_m_s=(13.0, 0.0, 0.0), vehicle_velocity_std_m_s=(7.0, 7.0, 7.0)
+        )
+        bench.timeline.add(k / 30, drifted)
+    assert bench.filter.gates["sighting"].refused == 0
+    assert bench.at(2.0).x[3:6] == pytest.approx([1.0, 0.0, 0.0], abs=0.15)
+
+
 def test_without_a_sighting_there_is_no_pad_and_echoes_are_ignored() -> None:
     bench = PadFilterBench(height_m=1.0)
     bench.timeline.add(0.0, HeightMeasurement(0.92, SENSOR, 0.03))
