@@ -38,7 +38,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from statistics import median
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -96,6 +96,30 @@ _EYE: Final = np.eye(_STATES)
 _EYE.flags.writeable = False
 
 
+class _Told(NamedTuple):
+    """What spans of time have each told of the scale, by information: sums, for there may be days of them."""
+
+    spans: int = 0
+    information: float = 0.0
+    off: float = 0.0  # times what each has found beyond 1
+    off_square: float = 0.0  # times the square of that
+
+    def after(self, found: float, information: float) -> _Told:
+        """With one more."""
+        off = found - 1.0
+        return _Told(
+            self.spans + 1,
+            self.information + information,
+            self.off + information * off,
+            self.off_square + information * off * off,
+        )
+
+    def scatter(self, scale: float) -> float:
+        """Of what they have found about a scale: 1 where it is what their information allows."""
+        k = scale - 1.0
+        return (self.off_square - 2.0 * k * self.off + k * k * self.information) / (self.spans - 1)
+
+
 class CameraCheck:
     """Feed it every sighting, and the echoes from over the board.
 
@@ -141,10 +165,10 @@ class CameraCheck:
         self._x[_K] = 1.0
         self._P[_K, :], self._P[:, _K] = 0.0, 0.0
         self._P[_K, _K] = SCALE_STD**2
-        # the present span's time and beginning (mean, variance), and what the earlier ones have told (mean,
-        # information); whether echoes have
+        # the present span's time and beginning (mean, variance), and what the earlier ones have told; whether
+        # echoes have
         self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
-        self._spans: list[tuple[float, float]] = []
+        self._told = _Told()
         self._heard = False
 
     @property
@@ -159,10 +183,9 @@ class CameraCheck:
         variance = float(self._P[_K, _K] + 2.0 * self._P[_K, _F] + self._P[_F, _F])
         if self._heard:
             return k, math.sqrt(variance + ECHO_SCALE_STD**2)
-        if len(self._spans) < 2:
+        if self._told.spans < 2:
             return k, SCALE_STD
-        scatter = sum(told * (found - k) ** 2 for found, told in self._spans) / (len(self._spans) - 1)
-        return k, min(SCALE_STD, math.sqrt(variance * max(1.0, scatter)))
+        return k, min(SCALE_STD, math.sqrt(variance * max(1.0, self._told.scatter(k))))
 
     @property
     def delay_std_s(self) -> float:
@@ -291,7 +314,7 @@ class CameraCheck:
         (before, variance), now = self._span_began, (float(self._x[_K]), float(self._P[_K, _K]))
         told = 1.0 / now[1] - 1.0 / variance
         if told > 0.0:
-            self._spans.append(((now[0] / now[1] - before / variance) / told, told))
+            self._told = self._told.after((now[0] / now[1] - before / variance) / told, told)
         self._span_s, self._span_began = 0.0, now
 
     def _hear(self, echo_s: float, height_m: float) -> None:

@@ -1,11 +1,12 @@
 """The pad's scale by a second source: how a pad of another size seems to move, and the echoes over it."""
 
 import math
+import pickle
 
 import numpy as np
 import pytest
 
-from companion.base.geometry import Vector3, add, cross, vector3
+from companion.base.geometry import IDENTITY, Vector3, add, cross, vector3
 from companion.base.geometry import scale as scaled
 from companion.base.messages import Quantity, SourceComparison
 from companion.base.second_sources import TABLE
@@ -93,6 +94,19 @@ def test_errors_that_wander_for_a_second_are_known_to_make_the_scale_unsure() ->
     assert [each for each in found if ROW.refuses(each)] == []
     # 95 % of chi-squared with twelve degrees of freedom
     assert sum((each.difference / each.std) ** 2 for each in found) <= 21.0
+
+
+def test_what_is_kept_does_not_grow_with_the_time_over_a_pad() -> None:
+    """A vehicle that waits on its pad sees it all day, and the table is asked in every cycle."""
+    motion, rng, sizes = MotionHistory(1.0), np.random.default_rng(5), []
+    check = CameraCheck(motion, PadFilterConfig(), 0.65)
+    for k in range(2400):
+        motion.add(0.1 * k, IDENTITY, vector3((0.03 * rng.normal(size=3)).tolist()))
+        check.take(0.1 * k, vector3((np.array([0.1, 0.0, 0.3]) + 0.002 * rng.normal(size=3)).tolist()), 4e-6)
+        if k in (1199, 2399):
+            kept = {name: value for name, value in vars(check).items() if value is not motion}
+            sizes.append(len(pickle.dumps(kept)))
+    assert sizes[1] == pytest.approx(sizes[0], abs=64)
 
 
 @pytest.mark.parametrize("swing_rad_s", [1.5, 3.0, 6.0])
