@@ -20,6 +20,7 @@ from typing import Final, NamedTuple
 
 from companion.base.geometry import Vector3, add, norm, quat_rotate, scale, subtract, wrap_angle
 from companion.base.messages import Quantity, SourceComparison
+from companion.estimate.gating import CHI_SQUARE_999
 from companion.estimate.motion import MotionHistory
 
 # long against a sighting's noise, short against a pad's manoeuvres; then what a glimpse of the pad allows
@@ -117,6 +118,10 @@ class MountCheck:
         if norm(across) < LEAST_SIGNAL * math.sqrt(noise):
             return
         noise += (0.5 * PAD_ACCELERATION_M_S2 * (b.time_s - a.time_s) * (c.time_s - b.time_s)) ** 2
+        # a turned pad's way keeps its length; of a sighting of something else it does not
+        way_m, reach_m = math.hypot(*across[:2]), math.sqrt(CHI_SQUARE_999[2] * noise)
+        if not LENGTH[0] * way_m - reach_m <= math.hypot(*wanted[:2]) <= LENGTH[1] * way_m + reach_m:
+            return
         self._forget(c.time_s)
         weight = 1.0 / (SHARED * noise)
         # of the plane alone: what a climb shows does not depend on the yaw

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from companion.base.geometry import Vector3, add, quat_from_euler, quat_rotate, subtract
@@ -31,6 +32,20 @@ def checked(
         taken = quat_rotate(turn, (x - CAMERA[0], y - CAMERA[1], z - CAMERA[2]))
         check.take(exposed_s, add(taken, CAMERA), sway.noise_m**2)
     return next((found for found in check.comparisons if ROW.announces(found)), None)
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 90.0])
+def test_sightings_of_something_else_take_no_verdict_away(turned_deg: float) -> None:
+    """Five in ten seconds, some metres beside the pad: their way is no pad's, turned or not."""
+    sway, motion, rng = Sway(0.0, height_m=7.0, noise_m=0.014), MotionHistory(3.0), np.random.default_rng(4)
+    check, turn = MountCheck(motion, CAMERA), quat_from_euler(0.0, 0.0, -math.radians(turned_deg))
+    for k, (exposed_s, seen) in enumerate(sightings(sway, motion, 12.0, FRAME_S)):
+        taken = quat_rotate(turn, subtract(seen, CAMERA))
+        if k >= 100 and k % 40 == 0:
+            taken = add(taken, (*rng.uniform(-3.0, 3.0, 2).tolist(), 0.0))
+        check.take(exposed_s, add(taken, CAMERA), sway.noise_m**2)
+    (found,) = check.comparisons
+    assert found.difference == pytest.approx(turned_deg, abs=5.0)
 
 
 @pytest.mark.parametrize("turned_deg", [90.0, -90.0, 179.0, 45.0])
