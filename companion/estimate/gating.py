@@ -20,6 +20,8 @@ from companion.base.geometry import FloatArray, Vector3, vector3
 # 99.9 % points of the chi-square distribution by degrees of freedom (any statistics table)
 CHI_SQUARE_999: Final = {1: 10.828, 2: 13.816, 3: 16.266, 4: 18.467, 6: 22.458}
 
+FEWEST_REFUSED: Final = 3  # in a row, for a filter to be in error
+
 
 def normalised_innovation_squared(innovation: FloatArray, covariance: FloatArray) -> float:
     """y' S^-1 y of an innovation (m,) with covariance (m, m).
@@ -63,21 +65,36 @@ class Gate(NamedTuple):
     refused: int = 0
     refused_in_a_row: int = 0
     refused_since_s: float = 0.0
+    refused_last_s: float = 0.0
+    longest_pause_s: float = 0.0  # between two of those in a row
 
     def after(self, passed: bool, time_s: float) -> Gate:
         """The record with one more measurement in it."""
         if passed:
             return Gate(self.accepted + 1, self.refused)
-        since_s = self.refused_since_s if self.refused_in_a_row else time_s
-        return Gate(self.accepted, self.refused + 1, self.refused_in_a_row + 1, since_s)
+        row = self if self.refused_in_a_row else Gate(refused_since_s=time_s, refused_last_s=time_s)
+        return Gate(
+            self.accepted,
+            self.refused + 1,
+            row.refused_in_a_row + 1,
+            row.refused_since_s,
+            time_s,
+            max(row.longest_pause_s, time_s - row.refused_last_s),
+        )
 
     def opened(self) -> Gate:
         """Without those refused in a row: they have been dealt with."""
         return Gate(self.accepted, self.refused)
 
-    def shut_out(self, time_s: float, timeout_s: float, at_least: int = 3) -> bool:
-        """Whether all measurements have been refused for so long that the filter must be the one in error."""
-        return self.refused_in_a_row >= at_least and time_s - self.refused_since_s >= timeout_s
+    def shut_out(self, time_s: float, timeout_s: float) -> bool:
+        """Whether all measurements have been refused for so long that the filter must be the one in error.
+
+        While none came none was refused: a pause counts for no more than all but one of the fewest, each of
+        which has its share of the time.
+        """
+        silent_s = max(self.longest_pause_s - timeout_s * (1.0 - 1.0 / FEWEST_REFUSED), 0.0)
+        refused_s = time_s - self.refused_since_s - silent_s
+        return self.refused_in_a_row >= FEWEST_REFUSED and refused_s >= timeout_s
 
 
 S = TypeVar("S")

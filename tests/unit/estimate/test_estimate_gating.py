@@ -47,7 +47,7 @@ def test_an_innovation_fits_up_to_the_bound_of_its_number_of_axes(axes: int) -> 
 
 def test_gate_counts_and_forgives_after_one_that_fits() -> None:
     gate = Gate().after(False, 1.0).after(False, 1.4)
-    assert gate == Gate(accepted=0, refused=2, refused_in_a_row=2, refused_since_s=1.0)
+    assert (gate.accepted, gate.refused, gate.refused_in_a_row, gate.refused_since_s) == (0, 2, 2, 1.0)
     assert gate.after(True, 1.5) == Gate(accepted=1, refused=2)
 
 
@@ -56,6 +56,22 @@ def test_gate_is_shut_out_only_after_enough_time_and_enough_refusals() -> None:
     assert gate.shut_out(1.5, timeout_s=0.5)
     assert not gate.shut_out(1.49, timeout_s=0.5)
     assert not Gate().after(False, 1.0).after(False, 3.0).shut_out(3.0, timeout_s=0.5)
+
+
+def test_no_measurement_is_refused_while_none_comes() -> None:
+    """As a fix that is off just before an outage, and two just after it."""
+    gate = Gate().after(False, 1.0)
+    for time_s in (21.0, 21.2, 21.4, 21.6):
+        gate = gate.after(False, time_s)
+        assert not gate.shut_out(time_s, timeout_s=2.0)
+    assert gate.after(False, 21.8).shut_out(21.8, timeout_s=2.0)
+
+
+@pytest.mark.parametrize("interval_s", [0.25, 1.0, 5.0])
+def test_few_refusals_that_come_evenly_are_enough_however_slow(interval_s: float) -> None:
+    gate = Gate().after(False, 0.0).after(False, interval_s)
+    assert not gate.shut_out(interval_s, timeout_s=0.5)
+    assert gate.after(False, 2.0 * interval_s).shut_out(2.0 * interval_s, timeout_s=0.5)
 
 
 def test_late_input_is_applied_at_its_own_time() -> None:
