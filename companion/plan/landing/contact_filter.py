@@ -13,7 +13,7 @@ from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import StepClock
 from companion.plan.inputs import LONGEST_CYCLE_S
-from companion.plan.landing.contact import FRESH_S, KNOWN_S, RESPONDS_S, WITHIN_HAND_M, echo_height_m
+from companion.plan.landing.contact import FRESH_S, RESPONDS_S, WITHIN_HAND_M, echo_height_m
 from companion.plan.landing.levelling import SLOWEST_SINK
 
 # In the air the sink comes back to the one asked for within this (the vertical loop); how gusts scatter it is
@@ -82,26 +82,23 @@ def feet_motion(
     """The feet's motion over the pad by camera and IMU, or by the echo where that is surer and agrees.
 
     An autopilot that does not obey may hold its height by itself: its sink tells only where the height has
-    the feet down. The pad's own motion is known for `blind_s`, and where no echo comes so is the height;
-    after that the vehicle's motion is taken, `state`, if it is given.
+    the feet down. The pad's height and motion are known for `blind_s`, as surely as they say; after that the
+    vehicle's motion is taken, `state`, if it is given.
     """
     height_m, std_m = math.nan, math.inf
-    if sight is not None and sight.age_s <= KNOWN_S:
+    sink_m_s, sink_std_m_s = math.nan, math.inf
+    if sight is not None and sight.age_s <= config.blind_s:
         height_m, std_m = sight.height_m, sight.height_std_m
+        sink_m_s, sink_std_m_s = sight.sink_m_s, sight.sink_std_m_s
+    elif state is not None:
+        # an axis of three
+        sink_m_s, sink_std_m_s = state.velocity_ned_m_s[2], state.velocity_std_m_s / math.sqrt(3.0)
     echo_m = echo_height_m(echo, vehicle, now_s)
     if echo_m is not None and not std_m <= _ECHO_STD_M:
         # an echo that the camera contradicts came from elsewhere, or is stuck
         apart_m = abs(echo_m - height_m)
         if math.isnan(height_m) or apart_m <= SIGMA_THRESHOLD * math.hypot(std_m, _ECHO_STD_M):
             height_m, std_m = echo_m, _ECHO_STD_M
-    sink_m_s, sink_std_m_s = math.nan, math.inf
-    if sight is not None and sight.age_s <= config.blind_s:
-        sink_m_s, sink_std_m_s = sight.sink_m_s, sight.sink_std_m_s
-        if math.isnan(height_m):
-            height_m, std_m = sight.height_m, sight.height_std_m
-    elif state is not None:
-        # an axis of three
-        sink_m_s, sink_std_m_s = state.velocity_ned_m_s[2], state.velocity_std_m_s / math.sqrt(3.0)
     known = math.isfinite(height_m + std_m)
     over_m = height_m - vehicle.leg_height_m - hangs_m if known else None
     down = over_m is not None and over_m <= config.contact_margin_m

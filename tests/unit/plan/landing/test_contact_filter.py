@@ -46,6 +46,15 @@ def test_the_feet_are_as_high_as_the_surer_of_camera_and_echo_has_them() -> None
     assert feet(None, None).over_m is None
 
 
+@pytest.mark.parametrize("age_s", [0.1, 0.6, 1.0])
+def test_an_echo_that_the_pads_last_sightings_refute_is_not_the_height_of_the_feet(age_s: float) -> None:
+    stuck = RangeSample(9.9, LEG_M - VEHICLE.range_position_body_m[2])  # as if it stood
+    high = replace(sight(height=LEG_M + 0.2), covariance=position_covariance(0.04), seen_time_s=-age_s)
+    assert feet(high, stuck).over_m == pytest.approx(0.2)
+    # what it says of a height that is known to 10 cm may be true
+    assert feet(replace(high, covariance=UNSURE), stuck).over_m == pytest.approx(0.0)
+
+
 @pytest.mark.parametrize(("tilt_deg", "counts_deg"), [(0.0, 0.0), (8.0, 8.0), (40.0, 15.0)])
 def test_the_foot_that_hangs_lowest_is_the_one_that_touches(tilt_deg: float, counts_deg: float) -> None:
     hangs = lowest_foot_m(VEHICLE, math.radians(tilt_deg))

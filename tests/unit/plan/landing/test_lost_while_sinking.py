@@ -1,11 +1,12 @@
 """The pad gone in the last centimetres: up while there is room, else straight down; no old sign counts."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from companion.base.geometry import Vector3
-from companion.base.messages import ActionKind, Phase
+from companion.base.messages import ActionKind, PadState, Phase
 from companion.plan.events import MissionEvent
 from companion.plan.mission.states import State
 from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sight, sinking
@@ -16,6 +17,14 @@ from tests.unit.plan.plan_harness import LEG_M, PlanWorld
 
 def committed(w: PlanWorld) -> bool:
     return bool(w.flight.told("commit"))
+
+
+def unseen_for(age_s: float, over_m: float, sink_m_s: float) -> PadState:
+    """As the pad filter predicts a pad that rides no waves: ever less sure."""
+    on_axis = *[(0.01 + 0.03 * age_s) ** 2] * 3, *[0.02**2] * 3
+    covariance = tuple(tuple(on_axis[row] * (row == column) for column in range(6)) for row in range(6))
+    predicted = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, sink_m_s), age=age_s)
+    return replace(predicted, covariance=covariance)
 
 
 def sinking_to(w: PlanWorld, height_m: float) -> None:
@@ -49,6 +58,19 @@ def test_one_far_echo_and_a_lost_one_after_it_are_no_pad_that_is_gone() -> None:
     assert found[:1] == [MissionEvent.PAD_LOST]
 
 
+def test_a_gust_that_holds_it_up_over_an_unseen_pad_is_no_contact_by_a_stuck_echo() -> None:
+    """GIVEN a pad out of view from 25 cm up, and an echo that has said "standing" since
+    WHEN a gust stops the sink 16 cm up THEN the thrust stays on."""
+    touchdown, over_m = sinking(), 0.25
+    for k in range(36):
+        age_s = k * CYCLE_S
+        sink_m_s = 0.2 if age_s < 0.5 or age_s > 0.8 else 0.0
+        over_m -= sink_m_s * CYCLE_S
+        touchdown.cycles([unseen_for(age_s, over_m, sink_m_s)], echo_m=LEG_M - 0.08, imu_age_s=0.0)
+        assert touchdown.state is State.SINK
+        assert touchdown.unloading == 0.0
+
+
 @pytest.mark.parametrize(("blind_zone_m", "lifts"), [(0.22, False), (0.6, True)])
 def test_an_echo_gives_no_room_where_the_pad_was_seen_to_be_at_the_feet(
     blind_zone_m: float, lifts: bool
@@ -58,7 +80,7 @@ def test_an_echo_gives_no_room_where_the_pad_was_seen_to_be_at_the_feet(
     touchdown, found = sinking(), list[MissionEvent]()
     for k in range(50):
         over_m = max(0.0, 0.2 - 0.2 * k * CYCLE_S)
-        unseen = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.2 * (over_m > 0.0)), age=k * CYCLE_S)
+        unseen = unseen_for(k * CYCLE_S, over_m, 0.2 * (over_m > 0.0))
         if touchdown.state is State.SINK:
             found += touchdown.cycles([unseen], echo_m=max(blind_zone_m, LEG_M + over_m - 0.08))
     assert (found[:1] == [MissionEvent.PAD_LOST]) == lifts
