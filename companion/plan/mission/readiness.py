@@ -168,6 +168,8 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
             yield "the vehicle is not armed"
         if inputs.autopilot.landed is LandedState.ON_GROUND:
             yield "the vehicle is on the ground"
+        elif inputs.autopilot.landed is LandedState.UNDEFINED:  # control would lift a vehicle that stands
+            yield "the autopilot does not tell whether it is in the air (EXTENDED_SYS_STATE)"
     yield from not_ready(inputs, config.mission, now_s)
     if inputs.thrust_doubt:
         yield inputs.thrust_doubt

@@ -296,6 +296,19 @@ def test_an_order_is_for_the_moment_it_is_not_kept() -> None:
     assert asked(w) == []
 
 
+def test_a_vehicle_of_which_nobody_says_that_it_flies_is_not_lifted_off_by_an_order_to_land() -> None:
+    """GIVEN a pilot who has armed a vehicle that stands, and an autopilot that does not say so."""
+    w = flown_by_a_pilot()
+    w.position = (0.0, 0.0, -LEG_M)
+    hear = w._autopilot
+    w._autopilot = lambda: replace(hear(), landed=LandedState.UNDEFINED)  # type: ignore[method-assign]
+    why = "the autopilot does not tell whether it is in the air (EXTENDED_SYS_STATE)"
+    assert order(w) == why
+    w.fly(5.0)
+    assert w.flight.phase is Phase.STANDBY
+    assert asked(w) == []
+
+
 def test_too_slow_a_computer_refuses_an_order_and_holds_a_departure() -> None:
     computer, why = ComputerLoad("computer too slow"), "computer too slow"
     w = flown_by_a_pilot()
