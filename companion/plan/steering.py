@@ -242,9 +242,17 @@ class PhaseSteering:
         elif state is State.WAIT and previous is State.DESCEND:
             self.touchdown = self._new_try(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
         elif state.phase is Phase.TOUCHDOWN:
+            self._tell_heading(inputs.vehicle, now_s)
             enter_touchdown(self.touchdown, state, self._pad.sight, inputs.vehicle, now_s)
         elif state.phase in {Phase.HOLD, Phase.ABORT}:
             self._enter_hold(previous, had, inputs, now_s)
+
+    def _tell_heading(self, vehicle: VehicleState | None, now_s: float) -> None:
+        """Of a final descent that begins; asked for in vain, as before a fence, it may be in every cycle."""
+        if self._machine.state is State.SINK and self._config.mission.align_heading:
+            words = misaligned_heading(self._pad.sight, vehicle)
+            if words:
+                self._say("heading", words, now_s, "warning")
 
     def _enter_route(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
         if inputs.vehicle is None:
@@ -390,12 +398,7 @@ class PhaseSteering:
             if wrong is not None:
                 return wrong
             self._keep_near_pad(inputs, now_s)
-        event = touch_down(self.touchdown, state, self._pad.sight, inputs, now_s)
-        if event is not None and event[0] is MissionEvent.COMMIT and self._config.mission.align_heading:
-            words = misaligned_heading(self._pad.sight, inputs.vehicle)
-            if words:
-                self._say("heading", words, now_s, "warning")
-        return event
+        return touch_down(self.touchdown, state, self._pad.sight, inputs, now_s)
 
     def _stay(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         if self.touchdown.leaving(now_s):

@@ -555,6 +555,8 @@ def test_no_landing_begins_on_a_pad_that_is_beyond_the_fence_before_it_ends() ->
     assert flight.phase is Phase.ABORT
     assert any("the pad leaves the fence" in text for text in flight.told("fence"))
     assert flight.told("commit") == []
+    assert len(flight.told("fence")) == 1
+    assert flight.told("heading") == []  # it would be told in every cycle of the wait
     assert any(f"limit {fence_m:.0f} m" in text for text in flight.told("phase"))
     assert math.hypot(*low.position[:2]) <= fence_m
 
