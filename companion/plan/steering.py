@@ -240,7 +240,7 @@ class PhaseSteering:
         elif state is State.APPROACH:
             self._enter_approach(previous, now_s)
         elif state is State.WAIT and previous is State.DESCEND:
-            self.touchdown = self._new_try(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
+            self.touchdown = self._new_try(now_s)
         elif state.phase is Phase.TOUCHDOWN:
             self._tell_heading(inputs.vehicle, now_s)
             enter_touchdown(self.touchdown, state, self._pad.sight, inputs.vehicle, now_s)
@@ -398,6 +398,8 @@ class PhaseSteering:
             if wrong is not None:
                 return wrong
             self._keep_near_pad(inputs, now_s)
+        # a battery that gets low makes a try the last
+        self.touchdown.slack = _LAST_TRY_SLACK if self._machine.last_try else 1.0
         return touch_down(self.touchdown, state, self._pad.sight, inputs, now_s)
 
     def _stay(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:

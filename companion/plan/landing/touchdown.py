@@ -97,9 +97,9 @@ class TouchdownSequence:
         now_s: float,
         slack: float = 1.0,
     ) -> None:
-        """Start a try with the leg height that is known by now; `slack` widens its limits aside."""
+        """Start a try with the leg height that is known by now; `slack`, kept up, widens its limits aside."""
         self._config, self._landing, self._generator = config, landing, generator
-        self._success, self._since_s, self._slack = success, now_s, slack
+        self._success, self._since_s, self.slack = success, now_s, slack
         self._vehicle = vehicle = standing_height.vehicle
         self._leg_std_m = standing_height.std_m
         self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m
@@ -175,7 +175,7 @@ class TouchdownSequence:
             ahead_s,
             sink_m_s=max(self._levelling.planned_m_s, self._levelling.sink_m_s(needed_m_s2)),
             drift=self._levelling.drift(needed_m_s2, tilt.scatter_m2_s4, success.sink_std_m_s, ahead_s),
-            slack=self._slack,
+            slack=self.slack,
         )
         worst = min(factors, key=lambda name: factors[name])
         return math.prod(factors.values()), f"{worst} within its limit with {100.0 * factors[worst]:.0f} %"
@@ -336,7 +336,7 @@ class TouchdownSequence:
 
     def _escapes(self, sight: PadState) -> bool:
         """Whether it is so far aside that it would miss the pad."""
-        return sight.lateral_m > self._slack * self._config.escape_lateral_m
+        return sight.lateral_m > self.slack * self._config.escape_lateral_m
 
     def _slides(self, sight: PadState) -> str:
         """Says so when feet that touch would slide off the pad, it having stopped, or escape; else "".
@@ -347,7 +347,7 @@ class TouchdownSequence:
         (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.seen_velocity_ned_m_s
         speed_m_s = math.hypot(vx, vy)
         slides_s = 0.5 * speed_m_s / _SLIDES_M_S2
-        farthest_m = max(self._slack * self._config.escape_lateral_m, self._feet_on_pad_m)
+        farthest_m = max(self.slack * self._config.escape_lateral_m, self._feet_on_pad_m)
         # a filter that has just started says any speed, but not that it knows it
         known = sight.unseen_s <= UNSEEN_S and sight.height_m <= self._low_m
         fast = speed_m_s >= max(_SLIDES_M_S, SIGMA_THRESHOLD * sight.velocity_std_m_s)
