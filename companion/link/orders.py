@@ -64,8 +64,7 @@ class OrderListener:
         self._config, self._component_id, self._ground = config, component_id, ground_system_id
         self._orders: list[Order] = []
         self._answers: list[Message] = []
-        self._senders: dict[Order, _Sender] = {}
-        self._under_way: tuple[_Sender, Order] | None = None
+        self._senders: dict[Order, _Sender] = {}  # of what has not ended
         self._last: tuple[_Sender, OrderOutcome, float] | None = None
         self._asked = False
         self._settled_s = -math.inf
@@ -93,7 +92,8 @@ class OrderListener:
     def stand_by(self, now_s: float) -> None:
         """Standby begins: what was asked for before is settled first."""
         self._settled_s = now_s + SETTLES_S
-        self._orders.clear()
+        for order in self.take():
+            self._senders.pop(order, None)
 
     @property
     def waiting(self) -> bool:
@@ -135,7 +135,7 @@ class OrderListener:
         if kind is None:
             self._answer(sender, mavlink.MAV_RESULT_UNSUPPORTED)
             return
-        if self._is_repeat(sender, message, now_s):
+        if self._is_repeat(sender, kind, message, now_s):
             return
         order = Order(now_s, kind, f"the ground station (system {sender.system_id})")
         self._senders[order] = sender
@@ -150,13 +150,11 @@ class OrderListener:
             return None
         return BY_PARAMETER.get(message.param1)
 
-    def _is_repeat(self, sender: _Sender, message: Message, now_s: float) -> bool:
-        """Answer a repeat of what is under way, or has just ended, as before."""
-        if self._under_way is not None and self._under_way[0] == sender:
-            order = self._under_way[1]
-            if self._kind(message) is order.kind:
-                self._answer(sender, mavlink.MAV_RESULT_IN_PROGRESS)
-                return True
+    def _is_repeat(self, sender: _Sender, kind: OrderKind, message: Message, now_s: float) -> bool:
+        """Answer a repeat of what has not ended, or just has; two ways to us bring each command twice."""
+        if any(order.kind is kind and who == sender for order, who in self._senders.items()):
+            self._answer(sender, mavlink.MAV_RESULT_IN_PROGRESS)
+            return True
         if self._last is None or not getattr(message, "confirmation", 0):
             return False
         last, outcome, ended_s = self._last
@@ -229,13 +227,9 @@ class OrderListener:
         sender = self._senders.get(order)
         if sender is None:
             return
-        if reply.outcome is OrderOutcome.IN_PROGRESS:
-            self._under_way = (sender, order)
-        else:
+        if reply.outcome is not OrderOutcome.IN_PROGRESS:
             del self._senders[order]
             self._last = (sender, reply.outcome, reply.time_s)
-            if self._under_way is not None and self._under_way[1] is order:
-                self._under_way = None
         self._answer(sender, _RESULTS[reply.outcome])
 
     def _answer(self, sender: _Sender, result: int) -> None:

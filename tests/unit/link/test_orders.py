@@ -124,6 +124,30 @@ def test_a_repeat_is_answered_as_before_and_orders_nothing() -> None:
     assert len(orders.take()) == 1
 
 
+@pytest.mark.parametrize("later_s", [0.0, 0.01])
+def test_a_command_that_comes_by_two_ways_is_one_order_and_the_next_is_heard(later_s: float) -> None:
+    orders = listener()
+    stop = from_system(command(mavlink.MAV_CMD_USER_1, 0.0))
+    for time_s in (5.0, 5.0 + later_s):
+        orders.hear_command(stop, US, time_s)
+    given = orders.take()
+    for outcome in (OrderOutcome.IN_PROGRESS, OrderOutcome.ACCEPTED):
+        for order in given:
+            orders.reply(order, reply(order, outcome))
+    assert len(given) == 1
+    assert [a.result for a in orders.answers()][-1] == mavlink.MAV_RESULT_ACCEPTED
+    orders.hear_command(stop, US, 100.0)
+    assert [order.kind for order in orders.take()] == [OrderKind.STOP]
+
+
+def test_what_standby_drops_is_no_repeat_when_it_comes_again() -> None:
+    orders = listener()
+    orders.hear_command(from_system(command(mavlink.MAV_CMD_NAV_LAND)), US, 5.0)
+    orders.stand_by(5.0)
+    orders.hear_command(from_system(command(mavlink.MAV_CMD_NAV_LAND, confirmation=1)), US, 5.5)
+    assert [order.kind for order in orders.take()] == [OrderKind.LAND]
+
+
 def test_a_stop_while_a_landing_is_under_way_is_an_order_of_its_own() -> None:
     orders = listener()
     orders.hear_command(from_system(command(mavlink.MAV_CMD_USER_1, 1.0)), US, 5.0)
