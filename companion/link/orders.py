@@ -73,6 +73,7 @@ class OrderListener:
         self._heard_s = -math.inf
         self._switched_on: bool | None = None
         self._switch_count = 0
+        self._reached: int | None = None  # the mission item, of this flight
 
     @property
     def messages(self) -> frozenset[int]:
@@ -203,6 +204,8 @@ class OrderListener:
     def hear_heartbeat(self, state: AutopilotState, system_status: int, now_s: float) -> None:
         """The state after a HEARTBEAT, and its MAV_STATE, which CURRENT_MODE has not got."""
         wanted, kind = self._config.flight_mode, state.autopilot_kind
+        if not state.armed:
+            self._reached = None
         if wanted is None or kind is None:
             return
         mode = state.mode.upper().replace(" ", "_")
@@ -216,8 +219,9 @@ class OrderListener:
         self._mode, self._by_hand_s = mode, now_s if by_hand else -math.inf
 
     def _hear_item(self, message: Message, now_s: float) -> None:
-        """MISSION_ITEM_REACHED of the autopilot."""
-        if message.seq == self._config.mission_item and now_s >= self._settled_s:
+        """MISSION_ITEM_REACHED of the autopilot. PX4 sends each another ten times, once a second."""
+        again, self._reached = message.seq == self._reached, message.seq
+        if message.seq == self._config.mission_item and not again and now_s >= self._settled_s:
             self._orders.append(Order(now_s, OrderKind.LAND, f"mission item {message.seq}"))
 
     # ------------------------------------------------------------ out

@@ -336,6 +336,23 @@ def test_a_mission_asks_by_the_item_that_is_set() -> None:
     assert [order.source for order in orders.take()] == ["mission item 4"]
 
 
+def test_an_item_that_is_told_again_is_reached_once_until_the_next_flight() -> None:
+    orders = listener(mission_item=4)
+    reached = mavlink.MAVLink_mission_item_reached_message(4)
+    given: list[Order] = []
+    for second in range(11):  # as PX4 does
+        orders.hear_autopilot(reached, mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, 20.0 + second)
+        given += orders.take()
+        if second == 2:
+            orders.stand_by(22.5)  # stopped: what follows is no new word
+    assert [order.time_s for order in given] == [20.0]
+    for armed in (False, True):
+        state = AutopilotState(50.0, connected=True, autopilot_kind="px4", armed=armed)
+        orders.hear_heartbeat(state, mavlink.MAV_STATE_ACTIVE, 50.0)
+    orders.hear_autopilot(reached, mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, 60.0)
+    assert [order.time_s for order in orders.take()] == [60.0]
+
+
 # ---------------------------------------------------------------- through the session
 
 
