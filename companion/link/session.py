@@ -194,7 +194,7 @@ class Session:
         self.heard_s = -math.inf  # when anything of the autopilot's came
         self._heartbeat_due_s = -math.inf
         self._timesync_due_s = -math.inf
-        self._home_due_s = -math.inf
+        self._home_due_s, self._home_is_old = -math.inf, True
         self._syncs_sent = 0
         self._notices = Notices()
 
@@ -327,15 +327,16 @@ class Session:
             self._hear_state(message, message_id, now_s)
 
     def _hear_state(self, message: Message, message_id: int, now_s: float) -> None:
-        was_armed = self.state.armed
         measured_s = self._measured_s(message, message_id, now_s)
         if measured_s is None:
             return
-        self.state = update_state(self.state, message, measured_s)
+        before, self.state = self.state, update_state(self.state, message, measured_s)
+        if message_id == mavlink.MAVLINK_MSG_ID_HOME_POSITION and self.state is not before:
+            self._home_is_old = False
         if self.poses is not None and self.state.attitude is not None:
             self.poses.take_attitude(self.state.attitude_time_s, self.state.attitude)
-        if self.state.armed and not was_armed:
-            self._home_due_s = now_s  # arming sets home again
+        if self.state.armed and not before.armed:
+            self._home_due_s, self._home_is_old = now_s, True  # arming sets home again
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self.orders.hear_heartbeat(self.state, message.system_status, now_s)
             self._heartbeat_heard_s = now_s
@@ -454,7 +455,7 @@ class Session:
             self.timesync.forget()
             self.rates.forget()
             self._syncs_sent = 0
-            self._home_due_s = now_s
+            self._home_due_s, self._home_is_old = now_s, True
 
     def _synchronise(self, messages: list[Message], now_s: float) -> None:
         """Ask for the time: quickly at first, and where the autopilot's samples are used."""
@@ -467,11 +468,11 @@ class Session:
         messages.append(codec.timesync(0, self.timesync.ask(now_s)))
 
     def _ask(self, now_s: float) -> None:
-        """Rates that are not honoured, home until it is known and again after arming, with it the version."""
+        """Rates that are not honoured, home until it comes and again after arming, with it the version."""
         for message_id, rate_hz in self.rates.to_ask(now_s):
             self._command_once(set_message_interval(message_id, rate_hz, self._system_id))
         if now_s >= self._home_due_s:
-            self._home_due_s = now_s + _HOME_S if self.state.home is None else math.inf
+            self._home_due_s = now_s + _HOME_S if self._home_is_old else math.inf
             self._command_once(request_message(mavlink.MAVLINK_MSG_ID_HOME_POSITION, self._system_id))
             if self.state.version is None:
                 self._command_once(request_message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, self._system_id))

@@ -1,6 +1,7 @@
 """The session: what it sends when, whom it believes, and what it takes for the autopilot's state."""
 
 import math
+from typing import Any
 
 import pytest
 from pydantic import ValidationError
@@ -110,6 +111,34 @@ def test_home_is_asked_for_until_it_is_known_and_again_after_arming() -> None:
     flight.autopilot.armed = True
     flight.run(1.5)
     assert asked() == count + 1
+
+
+def test_after_arming_home_is_asked_for_until_it_comes_though_the_old_one_is_known() -> None:
+    session, autopilot = Session(LinkConfig()), Codec(1, 1)
+
+    def hears(now_s: float, *messages: Any) -> int:
+        """How often home is asked for in the second after it."""
+        for message in messages:
+            session.receive(autopilot.encode(message), now_s)
+        asked = 0
+        for tenth in range(10):
+            for message in Codec(1).decode(session.tick(now_s + 0.1 * tenth)):
+                if message.get_type() == "COMMAND_LONG" and message.command == request:
+                    session.receive(autopilot.encode(accepted), now_s + 0.1 * tenth)
+                    asked += message.param1 == mavlink.MAVLINK_MSG_ID_HOME_POSITION
+        return asked
+
+    request = mavlink.MAV_CMD_REQUEST_MESSAGE
+    accepted = mavlink.MAVLink_command_ack_message(request, 0, 0, 0, 1, 191)
+    ground = FakeAutopilot()
+    home = ground.message(mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.0)
+    beat = ground.message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 0.0)
+    ground.armed = True
+    armed = ground.message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 0.0)
+    assert [hears(1.0, beat, home), hears(2.0, beat)] == [1, 0]
+    # what is asked at arming is accepted, and its answer is lost
+    assert [hears(3.0 + second, armed) for second in range(6)] == [1, 0, 1, 0, 1, 0]
+    assert [hears(9.0, home, armed), *(hears(10.0 + second, armed) for second in range(4))] == [1] + [0] * 4
 
 
 def test_silence_is_a_lost_connection_and_everything_is_asked_for_again_afterwards() -> None:
