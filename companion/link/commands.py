@@ -2,8 +2,8 @@
 
 MAVLink's command protocol: COMMAND_LONG or COMMAND_INT is answered by COMMAND_ACK of the same number; without
 an answer it is repeated with `confirmation` counted up; IN_PROGRESS means wait. Two commands of the same
-number to the same target cannot be distinguished by their answers, so they go one after the other; after a
-withdrawn one the next answer is taken for its answer, as long as that may still come.
+number to the same target cannot be distinguished by their answers, so they go one after the other; after one
+that was withdrawn, or repeated, the next answers are taken for its own, as long as those may still come.
 """
 
 import math
@@ -73,6 +73,7 @@ class Pending:
     command: VehicleCommand
     outcome: str | None = None
     tries: int = 0
+    answers: int = 0  # heard while it was under way, but IN_PROGRESS
     due_s: float = field(default=0.0)
 
     @property
@@ -90,7 +91,7 @@ class CommandQueue:
         self._timeout_s = timeout_s
         self._tries = tries
         self._queues: dict[_Key, deque[Pending]] = {}
-        self._answer_to_withdrawn_until_s: dict[_Key, float] = {}
+        self._to_come: dict[_Key, tuple[int, float]] = {}  # answers to what has ended, and until when
 
     def submit(self, command: VehicleCommand) -> Pending:
         """Queue a command; `to_send` sends it."""
@@ -102,8 +103,6 @@ class CommandQueue:
         """Send it no more; it ends as "withdrawn"."""
         if pending.outcome is not None:
             return
-        if pending.tries:
-            self._answer_to_withdrawn_until_s[_key(pending.command)] = pending.due_s
         self._end(pending, WITHDRAWN)
 
     def is_under_way(self, command: VehicleCommand) -> bool:
@@ -118,16 +117,17 @@ class CommandQueue:
         """
         target = (message.target_system, message.target_component)
         key = (message.get_srcSystem(), message.command)
-        if target not in {us, (us[0], 0), (0, 0)} or self._is_to_withdrawn(key, now_s):
+        if target not in {us, (us[0], 0), (0, 0)}:
             return None
         queue = self._queues.get(key)
-        if not queue:
-            return None
-        pending = queue[0]
-        if pending.tries == 0:
-            return None
+        pending = queue[0] if queue and queue[0].tries else None
         if message.result == mavlink.MAV_RESULT_IN_PROGRESS:
-            pending.due_s = now_s + _IN_PROGRESS_S
+            if pending is not None and now_s >= self._to_come.get(key, (0, -math.inf))[1]:
+                pending.due_s = now_s + _IN_PROGRESS_S
+            return None
+        if pending is not None:
+            pending.answers += 1
+        if self._is_to_an_ended_one(key, now_s) or pending is None:
             return None
         self._end(pending, _result_name(message.result))
         return pending
@@ -148,13 +148,20 @@ class CommandQueue:
                 pending.due_s = now_s + self._timeout_s
         return messages
 
-    def _is_to_withdrawn(self, key: _Key, now_s: float) -> bool:
-        """Whether an answer is a withdrawn command's; wrongly so costs one repeat, wrongly not a command."""
-        return now_s < self._answer_to_withdrawn_until_s.pop(key, -math.inf)
+    def _is_to_an_ended_one(self, key: _Key, now_s: float) -> bool:
+        """Whether an answer is an ended command's; wrongly so costs one repeat, wrongly not a command."""
+        count, until_s = self._to_come.pop(key, (0, -math.inf))
+        if now_s >= until_s:
+            return False
+        if count > 1:
+            self._to_come[key] = count - 1, until_s
+        return True
 
     def _end(self, pending: Pending, outcome: str) -> None:
         pending.outcome = outcome
         key = _key(pending.command)
+        if pending.tries > pending.answers:
+            self._to_come[key] = pending.tries - pending.answers, pending.due_s
         queue = self._queues[key]
         queue.remove(pending)
         if not queue:

@@ -175,6 +175,37 @@ def test_a_withdrawn_command_that_was_lost_costs_the_next_one_a_repeat_at_most()
     assert fourth.accepted
 
 
+def test_the_answer_to_a_repeat_is_not_the_next_commands() -> None:
+    session, first = armed()
+    session.tick(0.5)  # its answer takes longer
+    session.receive(ack(0, (1, 191)), 0.6)
+    assert first.accepted
+    second = session.command(DISARM)
+    session.tick(0.61)  # lost on its way
+    session.receive(ack(0, (1, 191)), 0.95)
+    assert second.outcome is None
+    assert [m.param1 for m in sent(session, 1.2)] == [0.0]
+    session.receive(ack(0, (1, 191)), 1.25)
+    assert second.accepted
+
+
+def test_each_loss_costs_the_next_command_of_its_number_one_repeat_at_most() -> None:
+    session, first = armed()
+    session.tick(0.5)  # it was lost
+    session.receive(ack(0, (1, 191)), 0.52)
+    assert first.accepted
+    second, third = session.command(DISARM), session.command(ARM)
+    session.tick(0.53)
+    session.receive(ack(0, (1, 191)), 0.55)  # its own, but it may be the first one's
+    assert second.outcome is None
+    session.tick(1.03)
+    session.receive(ack(0, (1, 191)), 1.05)
+    assert second.accepted
+    session.tick(1.06)
+    session.receive(ack(0, (1, 191)), 1.08)
+    assert third.accepted
+
+
 def parameter(name: bytes, value: float) -> bytes:
     message = mavlink.MAVLink_param_value_message(name, value, mavlink.MAV_PARAM_TYPE_INT32, 9, 0)
     return Codec(1, 1).encode(message)
