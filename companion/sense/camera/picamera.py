@@ -11,6 +11,10 @@ SensorTimestamp + readout / 2 - ExposureTime / 2, with ExposureTime (µs) from t
 Exposure and gain are given as values; libcamera leaves its automatic alone then, and AeEnable is not touched
 (picamera2's issue 933: switched off together with the values, it holds on to older ones). A gain that is not
 given stays automatic while the exposure stays fixed. Fixed ColourGains end the automatic white balance.
+
+A video's colour spaces have black at 16 and white at 235 (limited range), which picamera2 takes for video
+unless it is told. Vision decodes grey values of 0 to 255, and tells by them that white is cut off: so
+libcamera's sYCC, of full range.
 """
 
 import importlib
@@ -48,7 +52,7 @@ class Picamera2Device:
             ConfigError: picamera2 is not installed, or there is no such camera.
         """
         source = f"sense.vision.source: picamera2:{number}"
-        make = _picamera2(source)
+        make, self._full_range = _picamera2(source)
         self._config, self._clock = camera, clock
         self._stamps = StampReader(boot_clock_ahead_s())
         self._point: StampPoint = "start_of_readout" if camera.stamped_at == "auto" else camera.stamped_at
@@ -108,6 +112,7 @@ class Picamera2Device:
         size = (config.width_px, config.height_px)
         video = self._camera.create_video_configuration(
             main={"size": size, "format": "YUV420"},
+            colour_space=self._full_range,
             controls=self._controls(),
             buffer_count=BUFFERS,
             **({} if mode is None else {"sensor": {"output_size": mode}}),
@@ -173,14 +178,15 @@ class Picamera2Device:
             self.notes.append(f"gain {wanted:g} asked for, libcamera says {gain:.3g}")
 
 
-def _picamera2(source: str) -> Any:
-    """The class of that name.
+def _picamera2(source: str) -> tuple[Any, Any]:
+    """The class of that name, and the colour space of full range.
 
     Raises:
         ConfigError: it is not installed for this Python, or it does not fit what else is.
     """
     try:
-        return importlib.import_module("picamera2").Picamera2
+        make = importlib.import_module("picamera2").Picamera2
+        return make, importlib.import_module("libcamera").ColorSpace.Sycc()
     except ImportError as error:
         raise ConfigError(f"{source}: {error}; {INSTALL}") from error
     except ValueError as error:

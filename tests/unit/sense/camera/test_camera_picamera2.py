@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
+from collections.abc import Callable
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from companion.base.clock import Clock
 from companion.config import CameraConfig, ConfigError
@@ -35,10 +37,17 @@ class FakePi:
         self.released = self.taken = 0
         self.metadata: dict[str, Any] = {}
         self.video: dict[str, Any] = {}
+        self.scene: Callable[[int], NDArray[np.uint8]] = noisy
         FakePi.made.append(self)
 
     def create_video_configuration(self, **wanted: Any) -> dict[str, Any]:
         return wanted
+
+    def in_its_colour_space(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Unless it is told, picamera2 takes a colour space of limited range for video."""
+        if self.video.get("colour_space") == "sYCC":
+            return image
+        return np.asarray(np.rint(16.0 + image * (219.0 / 255.0)), np.uint8)
 
     def configure(self, wanted: dict[str, Any]) -> None:
         self.video = wanted
@@ -69,7 +78,7 @@ class FakePi:
         self.taken += 1
         width, height = self.video["main"]["size"]
         planes = np.full((height * 3 // 2, PADDED), 128, np.uint8)
-        planes[:height, :width] = noisy(self.taken)
+        planes[:height, :width] = self.in_its_colour_space(self.scene(self.taken))
         metadata = {
             "SensorTimestamp": time.monotonic_ns() - 20_000_000,
             "ExposureTime": 3987,
@@ -90,6 +99,9 @@ def module(monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("picamera2")
     module.Picamera2 = FakePi  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "picamera2", module)
+    libcamera = ModuleType("libcamera")
+    libcamera.ColorSpace = SimpleNamespace(Sycc=lambda: "sYCC")  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "libcamera", libcamera)
 
 
 async def opened(camera: CameraConfig, **changes: Any) -> tuple[Picamera2Device, FakePi]:
@@ -133,6 +145,15 @@ async def test_the_sensor_s_mode_may_be_chosen_and_is_read_back(
     device, pi = await opened(camera, sensor_mode_px=(1640, 1232))
     assert pi.video["sensor"] == {"output_size": (1640, 1232)}
     assert list(device.notes) == notes
+
+
+@pytest.mark.usefixtures("module")
+async def test_black_is_0_and_white_that_is_cut_off_255(camera: CameraConfig) -> None:
+    device, pi = await opened(camera)
+    halves = np.full((480, 640), 255, np.uint8)
+    halves[:240] = 0
+    pi.scene = lambda _: halves
+    np.testing.assert_array_equal(device.read().image, halves)
 
 
 @pytest.mark.usefixtures("module")
