@@ -1,6 +1,6 @@
 """Photos and videos as a user has them, in files and folders: each picture once, however long it takes.
 
-A photo is read as the sensor took it: a turn that the camera has noted beside it is not applied, since the
+A picture is read as the sensor took it: a turn that the camera has noted beside it is not applied, since the
 app gets its frames unturned too. Below, a recording that plays in real time.
 """
 
@@ -111,7 +111,7 @@ def _photo(path: Path) -> Photo:
 
 
 def _frames(path: Path) -> Iterator[Photo]:
-    video = cv2.VideoCapture(str(path))
+    video = _unturned(path)
     try:
         rate_hz = video.get(cv2.CAP_PROP_FPS)
         rate_hz = rate_hz if 0.0 < rate_hz < 1000.0 else USUAL_RATE_HZ
@@ -127,6 +127,13 @@ def _frames(path: Path) -> Iterator[Photo]:
         video.release()
     if number == 0:
         raise ConfigError(f"{path}: not a video that can be read")
+
+
+def _unturned(path: Path) -> cv2.VideoCapture:
+    """A video's frames as they were taken."""
+    video = cv2.VideoCapture(str(path))
+    video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0.0)
+    return video
 
 
 def natural_order(path: Path) -> list[tuple[int, int | str]]:
@@ -203,7 +210,7 @@ def open_video(path: Path, camera: CaptureConfig, clock: Clock, stop: threading.
     Raises:
         ConfigError: no such file, none that can be read, or of images of another size.
     """
-    capture = cv2.VideoCapture(str(path)) if path.is_file() else None
+    capture = _unturned(path) if path.is_file() else None
     if capture is None or not capture.isOpened():
         raise ConfigError(f"sense.vision.source: video:{path}: cannot be read; expected a video file")
     size = (capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
@@ -252,4 +259,4 @@ def _of_video(capture: cv2.VideoCapture, rate_hz: float) -> Iterator[Recorded]:
 
 def _of_folder(timed: list[tuple[float, Path]]) -> Iterator[Recorded]:
     for after_s, file in timed:
-        yield after_s, partial(cv2.imread, str(file), cv2.IMREAD_GRAYSCALE)
+        yield after_s, partial(cv2.imread, str(file), FLAGS)

@@ -1,16 +1,19 @@
 """Recordings as cameras: each frame when it is due, stamped by the recording's own times."""
 
 import asyncio
+import struct
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from companion.base.clock import Clock
 from companion.config import CameraConfig, ConfigError
-from companion.sense.camera.photos import open_folder, open_video, recorded_times
+from companion.sense.camera.photos import open_folder, open_video, read_photos, recorded_times
 from companion.sense.camera.reader import EndOfFrames
 from companion.sense.camera.source import keep_camera, open_camera
 from tests.unit.sense.camera.camera_frames import noisy
@@ -135,6 +138,45 @@ async def test_an_image_that_does_not_fit_is_reported_and_passed_over(
     device.read()
     assert np.array_equal(device.read().image, noisy(1))
     assert said in device.notes[0]
+
+
+def turned_image(path: Path, image: NDArray[np.uint8]) -> None:
+    """With a note beside it (Exif's orientation 3) that it is to be shown upside down."""
+    note = b"Exif\0\0MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x0112, 3, 1, 3, 0, 0)
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    path.write_bytes(jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(note) + 2) + note + jpeg[2:])
+
+
+def turned_video(path: Path, image: NDArray[np.uint8]) -> None:
+    """With a matrix in its track's header that shows it upside down."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), RATE_HZ, (640, 480))
+    writer.write(np.dstack([image] * 3))
+    writer.release()
+    data = bytearray(path.read_bytes())
+    matrix = data.index(b"tkhd") + 44
+    data[matrix : matrix + 36] = struct.pack(
+        ">9i", -1 << 16, 0, 0, 0, -1 << 16, 0, 640 << 16, 480 << 16, 1 << 30
+    )
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("name", "save"), [("1.jpg", turned_image), ("flight.mp4", turned_video)], ids=["images", "video"]
+)
+async def test_a_turn_that_is_noted_beside_a_picture_is_not_applied(
+    name: str, save: Callable[[Path, NDArray[np.uint8]], None], camera: CameraConfig, tmp_path: Path
+) -> None:
+    white_above = np.zeros((480, 640), np.uint8)
+    white_above[:240] = 255
+    save(tmp_path / name, white_above)
+    if name.endswith(".mp4"):
+        played = open_video(tmp_path / name, camera, Clock(), threading.Event()).read().image
+    else:
+        played = open_folder(tmp_path, camera, Clock(), threading.Event()).read().image
+    (photo,) = read_photos([tmp_path / name], pytest.fail)
+    for image in (played, photo.image):
+        assert image[:200].min() > 200
+        assert image[280:].max() < 50
 
 
 async def test_a_dark_recording_with_a_gap_is_neither_trouble_nor_played_again(
