@@ -234,6 +234,12 @@ def check_size(width_px: int, height_px: int, camera: CaptureConfig) -> None:
 
 
 def grey(image: Any) -> NDArray[np.uint8]:
-    """An image as vision takes it: (height, width); in colour it is taken for blue, green, red."""
-    array = np.asarray(image, dtype=np.uint8)
+    """An image as vision takes it: (height, width); in colour it is taken for blue, green, red.
+
+    Raises:
+        ConfigError: its grey values are not of 8 bits.
+    """
+    array = np.asarray(image)
+    if array.dtype != np.uint8:
+        raise ConfigError(f"images of {8 * array.itemsize} bits a pixel ({array.dtype}); expected 8 bits")
     return array if array.ndim == 2 else np.asarray(cv2.cvtColor(array, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

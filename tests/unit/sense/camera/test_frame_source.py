@@ -14,6 +14,7 @@ from companion.base.formats.frame_format import pack_frame
 from companion.base.messages import Frame
 from companion.config import CameraConfig, ConfigError
 from companion.sense.camera.frame_socket import MOST_STRANGE, SocketCamera
+from companion.sense.camera.reader import grey
 from companion.sense.camera.source import FrameSource, keep_camera, open_camera
 from sitl.devices.socket_servers import FrameServer
 from tests.unit.sense.camera.camera_frames import AGE_S, noisy_frame
@@ -113,6 +114,12 @@ async def test_a_colour_image_becomes_grey(tmp_path: Path, camera: CameraConfig)
     frame = await from_a_server_that_says(pack_frame(image, 3, Clock().now_s()), tmp_path, camera)
     assert frame.image.shape == (480, 640)
     assert int(frame.image[0, 0]) == 59  # green's weight, 0.587
+
+
+def test_grey_values_of_more_than_8_bits_are_refused() -> None:
+    ramp = np.linspace(0.0, 65535.0, 640 * 480).reshape(480, 640).astype(np.uint16)
+    with pytest.raises(ConfigError, match=r"images of 16 bits a pixel \(uint16\); expected 8 bits"):
+        grey(ramp)
 
 
 async def test_a_frame_without_a_time_is_as_old_as_the_settings_say(
