@@ -24,6 +24,7 @@ from calibration.camera.views import (
     BoardFinder,
     BoardView,
     ImageCoverage,
+    distance_px,
 )
 from companion.base.files import write_atomically
 from companion.base.formats.mjpeg import MjpegServer, serving
@@ -40,7 +41,6 @@ STILL_S: Final = 0.1
 FORGOTTEN_S: Final = 0.5
 # views whose corners are on average so near in the image (of its width) are the same view
 SAME_SHARE: Final = 0.06
-FEWEST_COMMON: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class CaptureSession:
         if self._last is None or not 0.0 < time_s - self._last[0] < FORGOTTEN_S:
             self._still_since_s = None
             return 0.0
-        moved = _distance_px(view, self._last[1])
+        moved = distance_px(view, self._last[1])
         if moved is None or moved > STILL_SHARE_S * self.size_px[0] * (time_s - self._last[0]):
             self._still_since_s = None
             return 0.0
@@ -98,18 +98,9 @@ class CaptureSession:
         return time_s - self._still_since_s
 
     def _is_new(self, view: BoardView) -> bool:
-        distances = [_distance_px(view, old) for old in self.views]
+        distances = [distance_px(view, old) for old in self.views]
         near = [d for d in distances if d is not None and d < SAME_SHARE * self.size_px[0]]
         return not near or self.coverage.brings_something(view)
-
-
-def _distance_px(one: BoardView, other: BoardView) -> float | None:
-    """Root mean square distance of the corners that both have; None where there are hardly any."""
-    _, a, b = np.intersect1d(one.ids, other.ids, return_indices=True)
-    if len(a) < FEWEST_COMMON:
-        return None
-    moved = one.corners_px[a] - other.corners_px[b]
-    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
 # ---------------------------------------------------------------- live

@@ -20,7 +20,7 @@ from calibration.camera.solver import (
     solve,
     uncertainty,
 )
-from calibration.camera.views import CORNERS, BoardView, ImageCoverage
+from calibration.camera.views import CORNERS, BoardView, ImageCoverage, distance_px
 from companion.base.geometry import FloatArray
 from companion.sense.vision.lens import fisheye_radius, radial_factor
 
@@ -97,12 +97,31 @@ def _held_out_of_brown(views: Sequence[BoardView], size_px: tuple[int, int], boa
 
 def _views(found: Assessment) -> Iterator[str]:
     count, dropped = len(found.solution.seen), len(found.solution.dropped_views)
-    if count < FEWEST_VIEWS:
-        yield f"too few views: {count}, expected {FEWEST_VIEWS} or more"
+    different = _different(found)
+    if different < FEWEST_VIEWS:
+        alike = f" ({count - different} more are of the same)" if different < count else ""
+        yield f"too few views: {different}{alike}, expected {FEWEST_VIEWS} or more"
     if dropped > MOST_DROPPED * (count + dropped):
         yield (
             f"{dropped} of {count + dropped} views do not fit the others; expected one board, flat and rigid"
         )
+
+
+def _different(found: Assessment) -> int:
+    """How many of the views show the board elsewhere than the others, by more than the fit may miss.
+
+    Frames of one recording, and files that were copied, err alike and say the same again.
+    """
+    different: list[BoardView] = []
+    for view in (seen.view for seen in found.solution.seen):
+        distances = [distance_px(view, other) for other in different]
+        if all(distance is None or distance > _most_rms_px(found) for distance in distances):
+            different.append(view)
+    return len(different)
+
+
+def _most_rms_px(found: Assessment) -> float:
+    return max(SMALLEST_LIMIT_PX, LARGEST_RMS * found.solution.camera.size_px[0])
 
 
 def _seen(found: Assessment) -> Iterator[str]:
@@ -149,7 +168,7 @@ def _sure(found: Assessment) -> Iterator[str]:
 
 
 def _fits(found: Assessment) -> Iterator[str]:
-    limit = max(SMALLEST_LIMIT_PX, LARGEST_RMS * found.solution.camera.size_px[0])
+    limit = _most_rms_px(found)
     if found.rms_px > limit:
         yield (
             f"the reprojection error is {found.rms_px:.2f} px; expected {limit:.2f} or less "

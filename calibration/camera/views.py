@@ -23,6 +23,8 @@ from companion.base.geometry import FloatArray
 
 # a view with fewer says little more than its own pose takes (6 numbers)
 FEWEST_POINTS: Final = 6
+# of corners in both of two views, by which these are compared
+FEWEST_COMMON: Final = 4
 # refinement sees no farther than this share of the way to the next edge that is not the corner's own
 WINDOW_SHARE: Final = 0.85
 WINDOW_PX: Final = (2, 12)
@@ -61,6 +63,15 @@ class BoardView:
         return BoardView(
             self.name, self.ids[kept], self.points_m[kept], self.corners_px[kept], self.edge_px, self.edges
         )
+
+
+def distance_px(one: BoardView, other: BoardView) -> float | None:
+    """Root mean square distance of the corners that both have; None where there are hardly any."""
+    _, a, b = np.intersect1d(one.ids, other.ids, return_indices=True)
+    if len(a) < FEWEST_COMMON:
+        return None
+    moved = one.corners_px[a] - other.corners_px[b]
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
 class BoardFinder:

@@ -183,6 +183,18 @@ def test_too_few_views() -> None:
     assert "too few views: 6, expected 8" in reasons(views_of(8, count=6))
 
 
+def test_many_pictures_of_few_poses_are_few_views() -> None:
+    few, rng = views_of(8, count=6), np.random.default_rng(8)
+    many = [
+        replace(
+            view, name=f"{view.name} {k}", corners_px=rng.normal(view.corners_px, 0.05, view.corners_px.shape)
+        )
+        for view in few
+        for k in range(4)
+    ]
+    assert "too few views: 6 (18 more are of the same), expected 8" in reasons(many)
+
+
 def test_no_tilt_leaves_the_focal_length_open() -> None:
     told = reasons(views_of(9, tilt_deg=4.0))
     assert "tilted by" in told
