@@ -408,12 +408,13 @@ class App:
             self._send_setpoint(controlled[0], replace(controlled[1], cycle_late_s=late_s))
 
     def _control(self) -> Controller:
+        control, kind = self._config.control, self.session.state.autopilot_kind or "px4"
+        setup, new = self.session.setup or AutopilotSetup(), self._controller is None
         if self._controller is None:
-            control, kind = self._config.control, self.session.state.autopilot_kind or "px4"
-            setup = self.session.setup or AutopilotSetup()
             self._controller = Controller(control, self._vehicle, self._clock.now_s, kind, setup, True)
             if self._controller.thrust.measures:
                 self.session.rates.want(THRUST_RATES_HZ)
+        if self._controller.fit(setup) or new:
             resolves, ours = resolved(control, kind), self.session.system_id
             own, by_attitude = misfits(resolves, self._vehicle, setup), resolves.setpoint == "attitude"
             lost = loss_warnings(setup, kind, by_attitude=by_attitude, system_id=ours)

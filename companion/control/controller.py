@@ -98,9 +98,10 @@ class Controller:
 
         In virtual time it does not advance while the solver works: then iterations alone bound it.
         """
-        config = resolved(config, autopilot_kind)
-        response = vehicle.responses.of(autopilot_kind, flown_kind(config))
-        self._config = config = fitted(config, response, setup)
+        self._own = config = resolved(config, autopilot_kind)  # whatever the autopilot says
+        self._response = vehicle.responses.of(autopilot_kind, flown_kind(config))
+        self._setup = setup
+        self._config = config = fitted(config, self._response, setup)
         self._lags_s = lags(vehicle, config, autopilot_kind)
         self._raises_thrust = PROFILES[autopilot_kind].raises_thrust_by_tilt
         self._stopwatch = stopwatch or (lambda: 0.0)
@@ -118,6 +119,23 @@ class Controller:
         self._asked_down_m_s2: float | None = None  # while thrust is taken away beside it
         self._flying = self._given_up = False
         self._health = SolverHealth(config.rate_hz)
+
+    def fit(self, setup: AutopilotSetup) -> bool:
+        """Keep within what the parameters of the autopilot say by now; returns whether the limits change.
+
+        Then the tracker, which is made for its limits, is made anew, and the step starts again. What was
+        learnt of the thrust stays.
+        """
+        if setup == self._setup:
+            return False
+        self._setup, before = setup, self._config.limits
+        self._config = config = fitted(self._own, self._response, setup)
+        if config.limits == before:
+            return False
+        self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
+        self._gate.bound_by(config.limits)
+        self._flying = False
+        return True
 
     def step(
         self,

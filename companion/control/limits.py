@@ -40,9 +40,13 @@ class LimitsGate:
     """Bounds setpoints. Remembers the last one, since some things may change only so fast."""
 
     def __init__(self, config: LimitsConfig) -> None:
+        self.bound_by(config)
+        self.reset()
+
+    def bound_by(self, config: LimitsConfig) -> None:
+        """Other bounds from now on; what was sent last stays known, and bounds the change."""
         self._config = config
         self._by_tilt_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(config.tilt_deg))
-        self.reset()
 
     def reset(self) -> None:
         """Start again: the next setpoint is bounded in size, and in change from nothing."""

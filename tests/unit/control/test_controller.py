@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from itertools import count
+from itertools import count, pairwise
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from companion.base.geometry import (
     tilt_from_quat,
     yaw_from_quat,
 )
-from companion.base.messages import LinkHealth, Phase, Setpoint
+from companion.base.messages import AutopilotSetup, LinkHealth, Phase, Setpoint
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
 from companion.control.controller import Controller
@@ -410,3 +410,27 @@ def test_what_a_silent_autopilot_does_not_do_is_no_disturbance(kind: str) -> Non
         _, heard = answered(believed, now, pad=pad)
     assert norm(heard.disturbance_ned_m_s2) > 1.0
     assert norm(unheard.disturbance_ned_m_s2) < 0.2
+
+
+@pytest.mark.parametrize("obeyed", [False, True])
+def test_a_tilt_limit_that_is_lowered_after_the_controller_was_made_is_kept(obeyed: bool) -> None:
+    setup = AutopilotSetup(tilt_deg=45.0)
+    fly = Controller(ControlConfig(), vehicle_config(), autopilot_kind="ardupilot", setup=setup)
+    far, tilts = pad_state(0.0, (60.0, 0.0, 2.0)), []
+    for k in range(60):
+        now = k * PERIOD_S
+        if k == 30:
+            assert fly.fit(replace(setup, tilt_deg=15.0))
+        assert not fly.fit(replace(setup, tilt_deg=15.0) if k >= 30 else setup)
+        heard = {"obeyed": obeyed or k >= 30}
+        setpoint, report = answered(fly, now, pad=replace(far, time_s=now), heard=heard)
+        assert setpoint.attitude is not None
+        assert report.solved
+        tilts.append(math.degrees(tilt_from_quat(setpoint.attitude)))
+    assert not obeyed or tilts[29] > 20.0
+    assert 13.0 < max(tilts[40:]) <= 15.0
+    # as the MPC plans it, not by the last gate, which holds back what was planned with more
+    assert "tilt" not in report.limited
+    # AND in flight without a jump
+    most = math.degrees(ControlConfig().limits.jerk_m_s3 * PERIOD_S / GRAVITY_M_S2)
+    assert not obeyed or max(abs(b - a) for a, b in pairwise(tilts)) <= 1.01 * most
