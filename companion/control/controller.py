@@ -198,6 +198,7 @@ class Controller:
         self._tracker.reset()
         self._feedforward.reset()
         self._health.begin()
+        self._asked_down_m_s2 = None
         self._flying = True
 
     def _wait_for_imu(

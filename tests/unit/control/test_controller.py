@@ -68,6 +68,15 @@ def test_thrust_that_was_taken_away_comes_back_at_once() -> None:
     assert flown[1] > 0.99 * flown[0] > 0.0  # what it has begun to fall by is met as well
 
 
+def test_what_was_asked_for_as_thrust_was_taken_away_is_nothing_to_the_next_take_over() -> None:
+    fly = controller(setpoint="attitude")
+    for k in range(20):  # a deck that comes up: it asks for a climb
+        now = k * PERIOD_S
+        answered(fly, now, pad=pad_state(now, (0.0, 0.0, 1.3)), unloading=0.2)
+    setpoint, _ = answered(fly, 60.0)
+    assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3, abs=2e-2)
+
+
 @pytest.mark.parametrize("direction_deg", [0.0, 90.0, 180.0, 270.0])
 @pytest.mark.parametrize("kind", ["velocity", "attitude"])
 def test_it_sets_out_towards_the_pad_whichever_way_the_vehicle_looks(direction_deg: float, kind: str) -> None:
