@@ -186,11 +186,11 @@ async def _tell_ground(
 
 
 def _make_room(record: Path | None, config: CompanionConfig) -> None:
-    """Remove the oldest flights. Tidying decides no start: a card that is damaged ends in a line."""
+    """Remove the oldest flights. Tidying decides no start: a card damaged or too small gets a line."""
     try:
         if record is not None and record.is_dir():
-            make_room(record, int(1e6 * config.record.total_mb), int(1e6 * config.record.free_mb))
-    except OSError as error:
+            make_room(record, 1e6 * config.record.total_mb, 1e6 * config.record.free_mb)
+    except (OSError, ConfigError) as error:
         print(f"companion: {record}: no old flight removed: {error}", file=sys.stderr)
 
 

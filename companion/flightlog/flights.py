@@ -10,6 +10,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import IO, Final
 
+from companion.base.errors import ConfigError
 from companion.flightlog.log_file import LOG_NAMES
 
 PREFIX: Final = "flight-"
@@ -59,12 +60,19 @@ def pack(folder: Path, packed: Path | IO[bytes], compression: int = zipfile.ZIP_
             archive.write(path, Path(folder.resolve().name) / path.relative_to(folder))
 
 
-def make_room(root: Path, cap_bytes: int, free_bytes: int, keep: Collection[Path] = ()) -> list[Path]:
+def make_room(root: Path, cap_bytes: float, free_bytes: float, keep: Collection[Path] = ()) -> list[Path]:
     """Remove the oldest flights until they hold no more than `cap_bytes` and the disk has `free_bytes` free.
 
     The newest flight and those in `keep` (the one being written) stay, whatever the limits say; a flight
     that cannot be removed is passed over. Returns what was removed.
+
+    Raises:
+        ConfigError: the whole disk is smaller than `free_bytes`, so that no removal would be the last one.
     """
+    if free_bytes > (disk_bytes := shutil.disk_usage(root).total):
+        raise ConfigError(
+            f"record.free_mb {free_bytes / 1e6:.6g}: expected less than the disk's {disk_bytes / 1e6:.0f} MB"
+        )
     for rest in root.glob(f"{REMOVED_PREFIX}*"):
         shutil.rmtree(rest, ignore_errors=True)
     flights = numbered_flights(root)

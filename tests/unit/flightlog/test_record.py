@@ -3,6 +3,7 @@
 import base64
 import errno
 import json
+import math
 import os
 import shutil
 import threading
@@ -254,6 +255,15 @@ def test_a_full_disk_makes_room_too(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(shutil, "disk_usage", usage)
     assert make_room(tmp_path, 10**9, 2000) == flights[:2]
+
+
+@pytest.mark.parametrize("free_bytes", [1e15, math.inf])
+def test_no_flight_is_removed_for_more_room_than_the_disk_has(tmp_path: Path, free_bytes: float) -> None:
+    """GIVEN bytes or gigabytes typed for megabytes, WHEN room is made, THEN all flights stay, and why."""
+    flights = filled(tmp_path, range(1, 6), 1000)
+    with pytest.raises(ConfigError, match=r"record\.free_mb .*: expected less than the disk's [0-9]+ MB$"):
+        make_room(tmp_path, math.inf, free_bytes)
+    assert numbered_flights(tmp_path) == flights
 
 
 def test_neither_the_newest_nor_the_one_being_written_is_removed(tmp_path: Path) -> None:
