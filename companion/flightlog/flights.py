@@ -4,11 +4,12 @@ Names are numbers, not dates: they sort by time also where the clock was wrong a
 without a network. The newest flight always stays, so no number comes twice.
 """
 
+import io
 import shutil
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import IO, Final
+from typing import Any, Final
 
 from companion.base.errors import ConfigError
 from companion.flightlog.log_file import LOG_NAMES
@@ -16,6 +17,7 @@ from companion.flightlog.log_file import LOG_NAMES
 PREFIX: Final = "flight-"
 # what a removal that was cut short leaves behind; the next one ends it
 REMOVED_PREFIX: Final = ".removed-"
+PIECE_BYTES: Final = 1 << 18  # of a file that is packed
 
 
 def number_of(folder: Path) -> int | None:
@@ -53,11 +55,38 @@ def size_bytes(folder: Path) -> int:
     return total
 
 
-def pack(folder: Path, packed: Path | IO[bytes], compression: int = zipfile.ZIP_STORED) -> None:
-    """All of a flight's folder as one zip file; the log is compressed already."""
-    with zipfile.ZipFile(packed, "w", compression, compresslevel=1) as archive:
+def pack(folder: Path, compression: int = zipfile.ZIP_STORED) -> Iterator[bytes]:
+    """All of a flight's folder as one zip file, piece by piece; the log is compressed already."""
+    pieces = _Pieces()
+    with zipfile.ZipFile(pieces, "w", compression, compresslevel=1) as archive:
         for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-            archive.write(path, Path(folder.resolve().name) / path.relative_to(folder))
+            name = Path(folder.resolve().name) / path.relative_to(folder)
+            # a clock that is not set at boot gives files of 1970, and a zip file begins in 1980
+            entry = zipfile.ZipInfo.from_file(path, name, strict_timestamps=False)
+            entry.compress_type = compression
+            with path.open("rb") as file, archive.open(entry, "w") as packed:
+                while piece := file.read(PIECE_BYTES):
+                    packed.write(piece)
+                    yield pieces.taken()
+    yield pieces.taken()
+
+
+class _Pieces(io.RawIOBase):
+    """What was written since it was last taken; a file that is only written to, and not sought in."""
+
+    def __init__(self) -> None:
+        self._written: list[bytes] = []
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        self._written.append(bytes(data))
+        return len(self._written[-1])
+
+    def taken(self) -> bytes:
+        written, self._written = self._written, []
+        return b"".join(written)
 
 
 def make_room(root: Path, cap_bytes: float, free_bytes: float, keep: Collection[Path] = ()) -> list[Path]:

@@ -59,8 +59,8 @@ def export(folder: Path, output: Path | None) -> None:
     """Put a flight's folder into one zip file."""
     target = _new(output or Path(f"{folder.resolve().name}.zip"))
     try:
-        with replaced(target) as part:
-            pack(folder, part, zipfile.ZIP_DEFLATED)
+        with replaced(target) as part, part.open("wb") as archive:
+            archive.writelines(pack(folder, zipfile.ZIP_DEFLATED))
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written: {error.strerror}") from error
     typer.echo(f"{target}: {target.stat().st_size / MEGABYTE:.1f} MB, all of {folder}")

@@ -6,7 +6,6 @@ them makes room for a new one.
 
 import asyncio
 import json
-import tempfile
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
@@ -38,13 +37,22 @@ def add_file_routes(app: web.Application, start: Start) -> None:
         folder = next((f for f in _folders(start.flights) if f.name == request.match_info["name"]), None)
         if folder is None:
             raise web.HTTPNotFound(text="no such flight\n")
-        with tempfile.NamedTemporaryFile(suffix=".zip") as packed:
-            await asyncio.to_thread(pack, folder, packed)
-            packed.flush()
-            headers = {**HEADERS, "Content-Disposition": f'attachment; filename="{folder.name}.zip"'}
-            answer = web.FileResponse(packed.name, headers=headers)
-            await answer.prepare(request)
-            return answer
+        headers = {**HEADERS, "Content-Disposition": f'attachment; filename="{folder.name}.zip"'}
+        answer = web.StreamResponse(headers=headers)
+        answer.content_type = "application/zip"
+        await answer.prepare(request)
+        pieces = pack(folder)  # as it is taken: a copy of each download would fill the card that we record to
+        try:
+            while (piece := await asyncio.to_thread(next, pieces, None)) is not None:
+                async with asyncio.timeout(SENDING_S):
+                    await answer.write(piece)
+        except (
+            OSError,
+            TimeoutError,
+        ):  # it takes nothing, or the flight has gone: what came must not look whole
+            if request.transport is not None:
+                request.transport.abort()
+        return answer
 
     async def settings(request: web.Request) -> web.Response:
         _let_in(request, start)

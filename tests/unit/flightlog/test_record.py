@@ -2,6 +2,7 @@
 
 import base64
 import errno
+import io
 import json
 import math
 import os
@@ -32,7 +33,13 @@ from companion.base.messages import (
 )
 from companion.config import ConfigError
 from companion.flightlog import version
-from companion.flightlog.flights import make_room, next_flight_folder, numbered_flights, recorded_flights
+from companion.flightlog.flights import (
+    make_room,
+    next_flight_folder,
+    numbered_flights,
+    pack,
+    recorded_flights,
+)
 from companion.flightlog.record import FlightLog, split_packets
 from companion.flightlog.summary import summary_of
 from tests.programs import ProgramHere
@@ -368,6 +375,15 @@ def test_a_flight_is_exported_whole_by_its_number(
         assert archive.read("flight-0007/flight.mcap") == Path("flights/flight-0007/flight.mcap").read_bytes()
     again = program("companion", "logs", "export", "flights/flight-0007")
     assert "flight-0007.zip: exists already" in again.refusal
+
+
+def test_a_flight_of_1970_is_packed_too(tmp_path: Path) -> None:
+    """GIVEN a Raspberry Pi whose clock was never set, WHEN its flight is packed, THEN all of it is there."""
+    (folder,) = filled(tmp_path, range(1, 2), 1000)
+    os.utime(folder / "flight.mcap", (30.0, 30.0))
+    with zipfile.ZipFile(io.BytesIO(b"".join(pack(folder)))) as archive:
+        assert archive.testzip() is None
+        assert archive.read("flight-0001/flight.mcap") == (folder / "flight.mcap").read_bytes()
 
 
 def test_a_flight_is_exported_by_its_name_in_the_list(

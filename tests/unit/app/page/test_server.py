@@ -3,8 +3,10 @@
 import asyncio
 import io
 import json
+import os
 import socket
 import struct
+import tempfile
 import zipfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
@@ -502,6 +504,41 @@ async def test_flights_are_listed_and_come_whole(flights: Path) -> None:
         with zipfile.ZipFile(io.BytesIO(await answer.read())) as archive:
             assert archive.namelist() == ["flight-0002/flight.mcap"]
             assert archive.read("flight-0002/flight.mcap") == b"flight-0002"
+
+
+async def test_a_flight_that_is_downloaded_takes_no_room_on_the_card(
+    flights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GIVEN browsers that ask for a flight and take nothing, WHEN they wait, THEN no copy of it is kept."""
+    log = os.urandom(1 << 23)
+    (flights / "flight-0002" / "flight.mcap").write_bytes(log)
+    made: list[str] = []
+    make = tempfile.NamedTemporaryFile
+
+    def counted(suffix: str = "") -> Any:
+        made.append(suffix)
+        return make(suffix=suffix)
+
+    monkeypatch.setattr(tempfile, "NamedTemporaryFile", counted)
+    async with served(flights=flights) as on:
+        async with on.client.get("/flights/flight-0002") as waiting:
+            assert waiting.status == 200
+        whole = await (await on.client.get("/flights/flight-0002")).read()
+    assert made == []
+    with zipfile.ZipFile(io.BytesIO(whole)) as archive:
+        assert archive.read("flight-0002/flight.mcap") == log
+
+
+async def test_who_takes_nothing_of_a_flight_is_let_go(
+    flights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page, "SENDING_S", 0.2)
+    (flights / "flight-0002" / "flight.mcap").write_bytes(bytes(1 << 26))
+    async with served(flights=flights) as on:
+        answer = await on.client.get("/flights/flight-0002")
+        await asyncio.sleep(1.0)
+        with pytest.raises(aiohttp.ClientError):  # and it does not look whole
+            await answer.read()
 
 
 @pytest.mark.parametrize("name", ["latch.json", "%2e%2e%2fetc", "flight-0009"])
