@@ -124,7 +124,7 @@ async def _serve(
             wanted = request["request"]
             kind = OrderKind(request["kind"]) if wanted == "order" else None
             late = up_s() > float(request.get("until_s", math.inf))
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             writer.write(b'{"error": "expected a request: status, or order with its kind"}\n')
             continue
         if kind is not None and late:

@@ -106,7 +106,17 @@ async def test_it_answers_requests_and_says_what_it_expected(tmp_path: Path) -> 
             "in_progress",
             "accepted",
         ]
-        for wrong in (b"\n", b"{}\n", b"[]\n", b'{"request": "order", "kind": "dance"}\n', b"\xff\n"):
+        late = b'{"request": "order", "kind": "land", "until_s": 1%s}\n' % (b"0" * 400)
+        nested = b"[" * 4000 + b"\n"
+        for wrong in (
+            b"\n",
+            b"{}\n",
+            b"[]\n",
+            b'{"request": "order", "kind": "dance"}\n',
+            b"\xff\n",
+            late,
+            nested,
+        ):
             (answer,) = await ask(path, wrong)
             assert "expected a request" in answer["error"]
         assert await ask(path, b"x" * 100_000) == []
