@@ -32,8 +32,8 @@ class Running:
         self.process = PageProcess(start(**changes), self.lines.append, self.problems.append)
 
     async def until(self, key: str, times: int = 1) -> Any:
-        """The value of the so-manieth line with a key."""
-        async with asyncio.timeout(PATIENCE_S):
+        """The value of the so-manieth line with a key; each may take the start of a process of its own."""
+        async with asyncio.timeout(times * PATIENCE_S):
             while len(said := [line[key] for line in self.lines if key in line]) < times:  # noqa: ASYNC110
                 await asyncio.sleep(0.02)
         return said[times - 1]
