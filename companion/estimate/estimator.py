@@ -338,9 +338,7 @@ class StateEstimator:
         estimate = self._pad_at(now_s)
         if estimate is None:
             return None
-        north, east, down, vn, ve, vd, *acceleration = x = estimate.x.tolist()
-        if not _finite((*x, estimate.heading_rad, estimate.heading_rate_rad_s)):
-            return None
+        north, east, down, vn, ve, vd, *acceleration = estimate.x.tolist()
         position, relative_velocity = (north, east, down), (vn, ve, vd)
         rotation = self._vehicle.rotation_covariance()
         rotation = np.zeros((3, 3)) if rotation is None else rotation
@@ -447,7 +445,12 @@ class StateEstimator:
         snapshot = self._timeline.as_of(time_s)
         if snapshot is None or time_s - snapshot.seen_time_s > self._config.pad.forget_s:
             return None
-        return self._pad.predicted(snapshot, time_s)
+        estimate = self._pad.predicted(snapshot, time_s)
+        if estimate is None:
+            return None
+        # no look for the pad where it cannot be: a look that fails brings no sighting to start again from
+        numbers = (*estimate.x.tolist(), estimate.heading_rad, estimate.heading_rate_rad_s)
+        return estimate if _finite(numbers) and 0.0 <= estimate.position_variance_m2 < math.inf else None
 
     # ------------------------------------------------------------ what may come in
 

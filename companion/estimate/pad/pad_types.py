@@ -117,7 +117,12 @@ class CombinedEstimate:
     @property
     def position_std_m(self) -> float:
         """Standard deviation of the relative position, all axes together."""
-        return math.sqrt(self.P[0, 0] + self.P[1, 1] + self.P[2, 2])
+        return math.sqrt(self.position_variance_m2)
+
+    @property
+    def position_variance_m2(self) -> float:
+        """Of the relative position, all axes together; of a filter that has diverged it may be any number."""
+        return float(self.P[0, 0] + self.P[1, 1] + self.P[2, 2])
 
     def covariance(self, rotation_covariance: FloatArray, wander_rad_s: float) -> FloatArray:
         """Of relative position and velocity (6, 6), with the errors that no averaging takes away.

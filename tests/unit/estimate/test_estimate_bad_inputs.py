@@ -16,7 +16,7 @@ from companion.base.geometry import (
     rotation_vector_from_quat,
     vector3,
 )
-from companion.base.messages import GpsFix, ImuSample, MagSample
+from companion.base.messages import GpsFix, ImuSample, MagSample, PadSighting
 from companion.estimate.estimator import StateEstimator
 from companion.estimate.pad.pad_types import CombinedEstimate
 from companion.estimate.vehicle.fix_watch import FixWatch
@@ -273,14 +273,50 @@ def test_a_state_that_is_no_number_is_no_state(
     assert estimator.vehicle(FROM_S) is None
 
 
-@pytest.mark.parametrize("place", [0, 3, 8])
-def test_a_pad_that_is_nowhere_is_no_pad(place: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("place", "variance_m2"), [(0, 9.0), (3, 9.0), (8, 9.0), (None, -9.0), (None, math.nan)]
+)
+def test_a_pad_that_is_nowhere_is_none_to_fly_to_or_to_look_for(
+    place: int | None, variance_m2: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     estimator = new_estimator()
+    for arrival_s, sample in FLOWN.samples:
+        if arrival_s < 12.0:
+            feed(estimator, sample)
+    snapshot = estimator._pad.snapshot()._replace(seen_time_s=12.0)
+    monkeypatch.setattr(estimator._timeline, "as_of", lambda _time_s: snapshot)
     x, sure = np.zeros(9), np.eye(9)
-    estimate = CombinedEstimate(x, sure, 0.0, 0.0, seen_time_s=1.0)
-    monkeypatch.setattr(estimator, "_pad_at", lambda _time_s: estimate)
-    assert estimator.pad(1.0) is not None
-    x[place] = math.nan
-    assert estimator.pad(1.0) is None
-    x[place], sure[0, 0] = 0.0, -9.0  # a covariance that is none
-    assert estimator.pad(1.0) is None
+    estimate = CombinedEstimate(x, sure, 0.0, 0.0, seen_time_s=12.0)
+    monkeypatch.setattr(estimator._pad, "predicted", lambda *_given: estimate)
+    prior = estimator.pad_prior(12.0)
+    assert prior is not None
+    assert prior.pad_position_body_m is not None
+    assert estimator.pad(12.0) is not None
+    sure[0, 0] = variance_m2
+    if place is not None:
+        x[place] = math.nan
+    prior = estimator.pad_prior(12.0)
+    assert prior is not None
+    assert prior.pad_position_body_m is None
+    assert estimator.pad(12.0) is None
+
+
+def test_a_pad_filter_that_is_no_number_starts_again_from_the_next_sightings() -> None:
+    """A frame is looked at with the prior, and a prior that is no number would end in no sighting."""
+    estimator, spoilt, blind_s = new_estimator(), False, 0.0
+    for arrival_s, sample in FLOWN.samples:
+        if arrival_s > FROM_S + 3.0:
+            break
+        if isinstance(sample, PadSighting):
+            prior = estimator.pad_prior(sample.time_s)
+            assert prior is not None
+            if prior.pad_position_body_m is not None and not math.isfinite(prior.position_std_m):
+                continue  # as `Vision.step` would have it
+        feed(estimator, sample)
+        if arrival_s > FROM_S and not spoilt:
+            spoilt = True
+            estimator._pad._bank.state.covariances[:] = math.nan
+        if spoilt and estimator.pad(arrival_s) is None:
+            blind_s = arrival_s - FROM_S
+    assert spoilt
+    assert 0.0 < blind_s < 1.5
