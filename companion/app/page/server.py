@@ -46,10 +46,8 @@ def add_file_routes(app: web.Application, start: Start) -> None:
             while (piece := await asyncio.to_thread(next, pieces, None)) is not None:
                 async with asyncio.timeout(SENDING_S):
                     await answer.write(piece)
-        except (
-            OSError,
-            TimeoutError,
-        ):  # it takes nothing, or the flight has gone: what came must not look whole
+        except (OSError, TimeoutError):
+            # it takes nothing, or the flight has gone: what came must not look whole
             if request.transport is not None:
                 request.transport.abort()
         return answer
