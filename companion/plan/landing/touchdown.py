@@ -95,11 +95,11 @@ class TouchdownSequence:
         pad_half_width_m: float,
         success: SuccessEstimate,
         now_s: float,
-        slack: float = 1.0,
     ) -> None:
-        """Start a try with the leg height that is known by now; `slack`, kept up, widens its limits aside."""
+        """Start a try with the leg height that is known by now."""
         self._config, self._landing, self._generator = config, landing, generator
-        self._success, self._since_s, self.slack = success, now_s, slack
+        self._success, self._since_s = success, now_s
+        self.slack = 1.0  # widens the limits aside; a low battery may change it within a try
         self._vehicle = vehicle = standing_height.vehicle
         self._leg_std_m = standing_height.std_m
         self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m

@@ -147,9 +147,8 @@ def fresh(
     generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
     standing = StandingHeight(VEHICLE)
     standing.measured_m["the rangefinder"] = VEHICLE.leg_height_m, 0.0
-    sequence = TouchdownSequence(
-        config, LandingConfig(), generator, standing, half_width_m, success, 0.0, slack
-    )
+    sequence = TouchdownSequence(config, LandingConfig(), generator, standing, half_width_m, success, 0.0)
+    sequence.slack = slack
     return Attempt(sequence, generator, success)
 
 
