@@ -3,7 +3,9 @@
 At contact the vehicle follows the pad as well as it has done over the last seconds: gusts, a pad that
 accelerates (its acceleration times the lag) and a deck that heaves are all in the errors to the reference
 that it has made meanwhile. What it is off by right now goes on as it is until the vehicle responds, and
-fades as a critically damped second order does; what is forgotten of it comes anew from those errors.
+fades as a critically damped second order does; what is forgotten of it comes anew from those errors. Shaken at
+random, such an order's offset deviates by its time constant times what its speed deviates by: both are in those
+errors, and an autopilot that wanders slowly is known by them.
 
 A swing goes on as it is for a part of its period: from the mean, by the tilt and its rate at the swing's own
 frequency. NED, m, s, rad.
@@ -78,30 +80,37 @@ class SuccessEstimate:
         by until it touches; `slack` widens the limit aside.
         """
         c = self._config
-        as_it_is_s, fades = min(ahead_s, RESPONDS_S), max(0.0, ahead_s - RESPONDS_S) / SINK_TAU_S
-        fade = math.exp(-fades)
-        kept = (1.0 + fades) * fade
+        offset, speed, sink = self._errors
+        as_it_is_s, fades_s = min(ahead_s, RESPONDS_S), max(0.0, ahead_s - RESPONDS_S)
+        # not faster than the loop itself: gusts that begin now show in the speed first
+        tau_s = max(SINK_TAU_S, math.sqrt(offset / (speed + _TINY)))
+        fades = fades_s / tau_s
+        fade, kept, sink_kept = math.exp(-fades), _kept(fades), _kept(fades_s / SINK_TAU_S)
         (x, y, _), (vx, vy, vz) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
         x, y = x + as_it_is_s * vx, y + as_it_is_s * vy
-        aside_m = math.hypot(*(kept * e + fade * fades * SINK_TAU_S * v for e, v in ((x, vx), (y, vy))))
+        aside_m = math.hypot(*(kept * e + fade * fades_s * v for e, v in ((x, vx), (y, vy))))
         slip_m_s = math.hypot(
-            *(fade * ((1.0 - fades) * v - fades / SINK_TAU_S * e) for e, v in ((x, vx), (y, vy)))
+            *(fade * ((1.0 - fades) * v - fades / tau_s * e) for e, v in ((x, vx), (y, vy)))
         )
 
-        def std(learnt: float, estimated: float) -> float:
+        def std(learnt: float, estimated: float, kept: float) -> float:
             return math.sqrt((1.0 - kept * kept) * learnt + (kept * estimated) ** 2)
 
-        offset, speed, sink = self._errors
-        offset_std_m = std(offset, sight.lateral_std_m(as_it_is_s))
+        offset_std_m = std(offset, sight.lateral_std_m(as_it_is_s), kept)
         axis_std_m_s = sight.velocity_std_m_s / math.sqrt(3.0)
-        speed_std_m_s, sink_std_m_s = std(speed, axis_std_m_s), std(sink, axis_std_m_s)
-        spare_m_s = c.fastest_contact_m_s - sink_m_s - kept * (-vz - sink_m_s)
+        speed_std_m_s, sink_std_m_s = std(speed, axis_std_m_s, kept), std(sink, axis_std_m_s, sink_kept)
+        spare_m_s = c.fastest_contact_m_s - sink_m_s - sink_kept * (-vz - sink_m_s)
         return {
             "lateral offset": _within(slack * c.break_off_lateral_m, aside_m, offset_std_m, drift[1]),
             "lateral speed": _within(self._fastest_m_s, slip_m_s, speed_std_m_s, drift[0]),
             "sink": NORMAL.cdf(spare_m_s / (sink_std_m_s + _TINY)),
             "pad tilt": _pad_level(sight, ahead_s, math.radians(c.contact_deck_tilt_deg)),
         }
+
+
+def _kept(fades: float) -> float:
+    """What is left of an offset after so many time constants of a critically damped second order."""
+    return (1.0 + fades) * math.exp(-fades)
 
 
 def _within(limit: float, mean: float, std: float, along_std: float) -> float:

@@ -113,19 +113,21 @@ def test_what_does_not_last_is_no_reason_to_break_off(off: PadState, good: PadSt
 
 
 @pytest.mark.parametrize(
-    ("aside", "height", "broken"),
+    ("aside", "back_m_s", "height", "broken"),
     [
-        (CONFIG.break_off_lateral_m, LEG_M + 0.09, False),
-        (CONFIG.break_off_lateral_m + 0.02, LEG_M + 0.09, True),
-        (CONFIG.break_off_lateral_m + 0.02, LEG_M + 0.2, False),  # it is back by the contact
-        (CONFIG.break_off_lateral_m + 0.02, LEG_M + CONFIG.break_off_above_m - 0.01, False),
+        (CONFIG.break_off_lateral_m, 0.0, LEG_M + 0.09, False),
+        (CONFIG.break_off_lateral_m + 0.02, 0.0, LEG_M + 0.09, True),
+        # one that is on its way is back by the contact, one that stays there is not
+        (CONFIG.break_off_lateral_m + 0.02, 0.1, LEG_M + 0.2, False),
+        (CONFIG.break_off_lateral_m + 0.02, 0.0, LEG_M + 0.2, True),
+        (CONFIG.break_off_lateral_m + 0.02, 0.0, LEG_M + CONFIG.break_off_above_m - 0.01, False),
     ],
 )
 def test_aside_on_the_final_descent_it_waits_again_over_the_pad(
-    aside: float, height: float, broken: bool
+    aside: float, back_m_s: float, height: float, broken: bool
 ) -> None:
     touchdown = sinking()
-    assert touchdown.cycles([sight(aside, height)] * 6) == []
+    assert touchdown.cycles([sight(aside, height, velocity=(-back_m_s, 0.0, 0.0))] * 6) == []
     assert touchdown.committed is not broken
     assert ("lateral offset" in touchdown.broken_off_by) is broken
 
