@@ -187,8 +187,10 @@ class ActionQueue:
                 while self._waiting:
                     action, asked_in = self._waiting.popleft()
                     self._under_way = action.kind
-                    await self._perform(action, asked_in)
-                    self._under_way = None
+                    try:
+                        await self._perform(action, asked_in)
+                    finally:
+                        self._under_way = None
                 self._arrived.clear()
                 await self._arrived.wait()
         finally:

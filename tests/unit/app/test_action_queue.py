@@ -61,3 +61,20 @@ def test_what_is_withdrawn_while_it_waits_or_is_under_way_is_not_sent() -> None:
     assert queued(autopilot, *LAND_THEN_DISARM, clears=True) == ["withdrawn"]
     assert autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == []
     assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
+
+
+def test_an_action_whose_result_cannot_be_taken_leaves_the_queue_free() -> None:
+    """A log that cannot be written raises there: the mission's end would wait for the queue for good."""
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        def fail(result: ActionResult) -> None:
+            raise OSError("no space left on device")
+
+        queue = ActionQueue(actions, fail)
+        queue.add(Action(ActionKind.LAND))
+        with pytest.raises(OSError, match="no space"):
+            await queue.run()
+        assert not queue.busy
+        return []
+
+    fly(FakeAutopilot(mode="OFFBOARD", armed=True), story)
