@@ -172,7 +172,8 @@ class FailsafeMonitor:
         tilt_rad = lying_rad(inputs, now_s)
         # what is dragged by its motors is jolted; what falls is not for so short a time
         falls = self._held.held_s("falls", accelerates(inputs.vehicle), now_s) >= BUMP_S
-        self.lies = self._held.held_s("lies", tilt_rad > 0.0 and not falls, now_s) >= _PASSES_S
+        rests = self.lies or not falls  # one that lies does so on, however hard it is dragged
+        self.lies = self._held.held_s("lies", tilt_rad > 0.0 and rests, now_s) >= _PASSES_S
         if self.lies:
             yield MissionEvent.TIPPED_OVER, f"tilted by {math.degrees(tilt_rad):.0f} deg and at rest"
 

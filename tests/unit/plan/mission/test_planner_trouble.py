@@ -859,6 +859,31 @@ def test_a_vehicle_on_its_side_is_disarmed_though_the_first_answer_is_lost(kind:
     assert w.flight.told("phase")[-1] == "abort: disarmed: motors off, tipped over"
 
 
+def on_its_side(phase: Phase) -> tuple[PlanWorld, set[bool]]:
+    """It lies on the ground, its motors drag it hard, and its autopilot refuses to turn them off."""
+    w, thrustless = world(), set[bool]()
+    w.autopilot.doubts, w.autopilot.refuse = True, {ActionKind.DISARM: 99}
+    w.fly(90.0, until=lambda w: bool(w.flight.phases) and w.flight.phase is phase)
+    began_s, w.tilt_rad = w.now_s, math.radians(92.0)
+    w.jolted = lambda t: t - began_s > 1.2
+
+    def lies(w: PlanWorld, step: PlanStep) -> None:
+        w.velocity = w.acceleration = ZERO3
+        if w.now_s - began_s > 1.1:
+            thrustless.add(step.on_ground)
+
+    w.each = lies
+    return w, thrustless
+
+
+@pytest.mark.parametrize("phase", [Phase.SEARCH, Phase.APPROACH])
+def test_a_vehicle_that_is_dragged_on_its_side_is_disarmed_on(phase: Phase) -> None:
+    w, thrustless = on_its_side(phase)
+    w.fly(15.0)
+    assert len([kind for _, kind in w.autopilot.heard if kind is ActionKind.DISARM]) > 6
+    assert (w.flight.phase, thrustless) == (phase, {True})
+
+
 @pytest.mark.parametrize("retries", [0, 2])
 def test_a_slide_over_the_pad_ends_in_a_climb_on_the_last_try_too(retries: int) -> None:
     w = world(config=PlanConfig.model_validate({"landing": {"retries": retries}}))
