@@ -130,6 +130,7 @@ _GO_ON: Final = {**_all(GOING_DOWN, _FINISHES), **_all(ON_PAD, _STANDS)}
 _EARLY: Final = _all(BEFORE_TAKE_OFF, _NOT_YET)
 _BY_ITSELF: Final = _all(BY_AUTOPILOT, _FLIES_ITSELF)
 _UNASKED: Final = _all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED)
+_LAY = "nothing is requested there but to disarm a vehicle on its side, again as long as it lies there"
 _CLEARS = "it climbs clear of the pad and comes to rest, which returns control; so does its time"
 
 ROWS: Final = (
@@ -198,9 +199,10 @@ ROWS: Final = (
     # not allowed to go: search from here, by the beacon
     *_rows(E.REFUSED, S.WAYPOINT, Branch(S.SEARCH)),
     *_rows(E.REFUSED, HOLDING | {S.ROUTE, S.SEARCH}, *_RETURN_CONTROL),
-    *_rows(E.REFUSED, OVER_PAD | {S.SINK}, _end(_LAND)),
     # Nobody else turns the motors off: it stays, pressed down, and asks again.
-    *_rows(E.REFUSED, S.STAND, Branch(None, (_DISARM,))),
+    *_rows(
+        E.REFUSED, S.STAND, Branch(None, (_DISARM,)), except_=_all(BY_THE_PAD - COMMITTED | {S.SINK}, _LAY)
+    ),
     *_rows(E.REFUSED, {S.SET_DOWN, S.AUTO_LAND}, Branch(None, (_LAND,))),
     # ---- the time of a phase
     *_rows(E.TIMEOUT, S.CONNECT, _GIVE_UP, except_={S.STANDBY: _WAITS_FOR_OPERATOR}),

@@ -884,6 +884,16 @@ def test_a_vehicle_that_is_dragged_on_its_side_is_disarmed_on(phase: Phase) -> N
     assert (w.flight.phase, thrustless) == (phase, {True})
 
 
+def test_a_refused_disarming_of_a_vehicle_that_lies_no_longer_means_nothing() -> None:
+    w, _ = on_its_side(Phase.APPROACH)
+    w.fly(6.0)
+    w.tilt_rad, w.jolted = 0.0, lambda _t: False
+    w.fly(2.0)
+    assert w.flight.told("refused") == ["disarm refused 4 times: Denied: not now"]
+    assert w.flight.told("unexpected") == []
+    assert not w.ended
+
+
 @pytest.mark.parametrize("retries", [0, 2])
 def test_a_slide_over_the_pad_ends_in_a_climb_on_the_last_try_too(retries: int) -> None:
     w = world(config=PlanConfig.model_validate({"landing": {"retries": retries}}))

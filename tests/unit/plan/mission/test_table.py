@@ -13,6 +13,7 @@ from companion.plan.mission.table import (
     BEFORE_TAKE_OFF,
     COMMITTED,
     FINAL,
+    HOLDING,
     IN_AIR,
     LIVE,
     ON_PAD,
@@ -134,6 +135,28 @@ def test_on_the_pad_with_the_motors_on_it_stays_and_asks_again() -> None:
     assert taken(S.AUTO_LAND, E.TIMEOUT).effects == (Effect.ASK_AFRESH,)
     assert taken(S.STAND, E.REFUSED).to is None
     assert kinds(taken(S.STAND, E.REFUSED)) == [ActionKind.DISARM]
+
+
+def test_what_is_refused_means_something_where_more_is_asked_than_to_disarm_a_vehicle_on_its_side() -> None:
+    # GIVEN what may be open in each state: a new phase drops what was asked before
+    reached: set[tuple[State, frozenset[ActionKind]]] = {(S.STANDBY, frozenset()), (S.CONNECT, frozenset())}
+    todo = list(reached)
+    while todo:
+        at, asked = todo.pop()
+        followed = [b for event in MissionEvent if not impossible(at, event) for b in TABLE[at, event]]
+        for branch in [b for b in followed if at not in FINAL]:
+            to = branch.to or at
+            kept = asked if to.phase is at.phase else frozenset()
+            then = (to, kept | {action.kind for action in branch.actions})
+            if then not in reached:
+                reached.add(then)
+                todo.append(then)
+    opened = {state: {kind for at, kinds in reached if at is state for kind in kinds} for state in LIVE}
+    # THEN it has a row, but for what a phase asks again by itself and for what lies, which has a reason
+    for state in LIVE - {S.STANDBY, S.CONNECT, S.ARM} - HOLDING:
+        only_lay = opened[state] == {ActionKind.DISARM} and state is not S.STAND
+        assert bool(TABLE[state, E.REFUSED]) is not only_lay
+        assert not impossible(state, E.REFUSED)
 
 
 def test_in_standby_nothing_is_asked_whatever_happens() -> None:
