@@ -17,6 +17,7 @@ from companion.base.messages import (
     AutopilotState,
     Conditions,
     LandedState,
+    PadState,
     Phase,
     PlanStep,
     Refusal,
@@ -24,7 +25,7 @@ from companion.base.messages import (
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.events import Announcements, DetectedEvent, MissionEvent, NoticeSeverity
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.contact import KNOWN_S, not_standing
+from companion.plan.landing.contact import KNOWN_S, not_standing, unshown
 from companion.plan.landing.height_above_ground import EchoCheck, HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack
 from companion.plan.landing.standing_height import StandingHeight
@@ -293,12 +294,17 @@ class Planner:
         control, requests = ActionKind.TAKE_CONTROL, self._requests
         return requests.asked(control) and (control in requests.asked_last or autopilot.offboard)
 
+    @property
+    def _met(self) -> PadState | None:
+        """The pad as the feet met it, or as it was seen since."""
+        return self._steering.touchdown.met
+
     def _not_standing(self, inputs: PlanInputs, now_s: float) -> str:
         """Why a vehicle that was landing does not stand upright on the pad; "" when it does."""
         touchdown = self._steering.touchdown
         touched = self._machine.state in ON_PAD or touchdown.feet_down(now_s)
         return not_standing(
-            touchdown.met,
+            self._met,
             inputs,
             self._vehicle,
             self._pad_reach_m,
@@ -331,6 +337,8 @@ class Planner:
             reason = f"{reason}, no landing: {fell}"
         elif event is MissionEvent.DISARMED and self._monitor.lies:
             reason = f"{reason}, tipped over"
+        elif event is MissionEvent.DISARMED and state in COMMITTED and (why := unshown(self._met)):
+            reason = f"{reason}, {why}"
         branch = machine.follows(event, self._circumstances(inputs, now_s)) if TABLE[state, event] else None
         if branch is None:
             if event is MissionEvent.COMMIT:
@@ -389,7 +397,7 @@ class Planner:
         elif event is MissionEvent.BREAK_OFF:
             self._say("break_off", f"{reason}: waiting again over the pad", now_s, "warning")
         elif event is MissionEvent.CONTACT:
-            where = "on the pad" if before is State.SINK else "down"
+            where = "on the pad" if before is State.SINK and not unshown(self._met) else "down"
             self._say("contact", f"{where}: {reason}", now_s)
         elif self._machine.state is State.SET_DOWN:
             self._say("set_down", f"{reason}: landing in LAND mode", now_s, "warning")

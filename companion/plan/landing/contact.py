@@ -208,6 +208,18 @@ def not_standing(
     return ""
 
 
+def unshown(met: PadState | None) -> str:
+    """Why the feet are not shown to be on the pad, though its track has it there; "" when they are.
+
+    The track's covariance is that of a pad that drives on as its models have it; one that stops as soon as
+    the camera sees nothing may be elsewhere by then.
+    """
+    if met is not None and met.age_s <= KNOWN_S:
+        return ""
+    unseen = "" if met is None else f" for {met.age_s:.1f} s"
+    return f"not shown to be on the pad, unseen{unseen} at contact"
+
+
 def accelerates(vehicle: VehicleState | None) -> bool:
     """Whether it accelerates as what rests on something does not, or nothing tells."""
     return vehicle is None or norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2

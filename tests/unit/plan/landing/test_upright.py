@@ -15,7 +15,7 @@ from companion.plan.mission.table import TABLE
 from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sinking
 from tests.unit.plan.landing.touchdown_attempt import sight as seen_over
 from tests.unit.plan.mission.planner_world import world
-from tests.unit.plan.pad_paths import still
+from tests.unit.plan.pad_paths import line, still
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE, PlanWorld
 
 REACH_M = 0.7
@@ -158,6 +158,31 @@ def test_a_pad_that_is_unseen_to_the_end_is_stood_on_where_its_track_has_it_at_t
     w.fly(40.0)
     assert not w.autopilot.armed
     assert end in w.flight.told("phase")[-1]
+
+
+@pytest.mark.parametrize("stops", [False, True])
+def test_feet_that_meet_a_pad_unseen_are_not_said_to_be_on_it(stops: bool) -> None:
+    # GIVEN a pad that may stop as the camera is covered in the final descent: it is on its track or beside it
+    covered_s = [math.inf]
+
+    def pad(t: float) -> Vector3:
+        return 10.0, -15.0 + (min(t, covered_s[0]) if stops else t), -0.3
+
+    w = world(pad)
+    w.fly(60.0, until=lambda w: bool(w.flight.told("commit")) and w.flight.heights_m[-1] < LEG_M + 0.13)
+    w.blind, covered_s[0] = lambda _t, _height: True, w.now_s
+    w.fly(40.0)
+    # THEN it has landed, and nobody can tell where
+    assert (w.flight.phase, w.flight.touch_lateral_m > 0.6) == (Phase.LANDED, stops)
+    assert w.flight.told("contact")[-1].startswith("down: ")
+    assert "landed: disarmed: motors off, not shown to be on the pad, unseen for 0." in w.flight.told("phase")[-1]
+
+
+def test_feet_that_meet_a_pad_in_view_are_said_to_be_on_it() -> None:
+    w = world(line())
+    w.fly(90.0)
+    assert w.flight.told("contact")[-1].startswith("on the pad: ")
+    assert w.flight.told("phase")[-1] == "landed: disarmed: motors off"
 
 
 def test_a_vehicle_that_topples_as_it_stands_is_no_landing_and_the_reason_is_said() -> None:
