@@ -303,7 +303,7 @@ class PhaseSteering:
         if not flown or not inputs.autopilot.armed or inputs.vehicle is None:
             self._generator.stop()
             return
-        low = self._machine.phase is Phase.HOLD and previous in BY_THE_PAD - {State.APPROACH}
+        low = self._machine.phase is Phase.HOLD and previous in BY_THE_PAD
         if not (low and self.touchdown.leaving(now_s)):  # it leaves the pad first, level; `_stay` begins it
             self._hold.begin(inputs.vehicle, now_s, over_pad=low)
 
