@@ -107,6 +107,8 @@ _NEXT_TRY: Final = (
 )
 # Just over the pad the autopilot would hold in its way: the hold by our own setpoints climbs clear first.
 _HOLD_CLEAR: Final = (_end(_LAND, guard=Guard.ON_SURFACE), Branch(S.HOLD))
+# A try that begins after one that failed may be as low.
+_CLEAR_IF_NEAR: Final = (_end(_LAND, guard=Guard.ON_SURFACE), Branch(S.HOLD, guard=Guard.NEAR))
 # Without the pad or our own estimate: LAND holds the vehicle level, and goes on down.
 _SET_DOWN: Final = Branch(S.SET_DOWN, (_LAND,), effects=(Effect.COUNT_AFRESH,))
 # However late it is asked for: LAND takes its time to be answered, and to come down.
@@ -232,22 +234,24 @@ ROWS: Final = (
     # ---- anywhere
     *_rows(
         E.BATTERY_CRITICAL,
-        IN_AIR - OVER_PAD_OR_DESCENDING,
+        IN_AIR - OVER_PAD_OR_DESCENDING - {S.APPROACH},
         *_RETURN_CONTROL,
         except_={**_UNASKED, S.ARM: "the autopilot's own checks decide", S.HOLD: _CLEARS, **_GO_ON},
     ),
     *_rows(E.BATTERY_CRITICAL, OVER_PAD_OR_DESCENDING, Branch(None, guard=Guard.MAY_FINISH), *_HOLD_CLEAR),
     # the hold brakes at once, within the room that a bound leaves, and climbs no higher than the ceiling
     *_rows((*OUTSIDE, *UNFOLLOWED, E.STOP), OVER_PAD_OR_DESCENDING, *_HOLD_CLEAR),
+    *_rows((E.BATTERY_CRITICAL, *OUTSIDE, E.STOP), S.APPROACH, *_CLEAR_IF_NEAR, *_RETURN_CONTROL),
     *_rows(
         OUTSIDE,
-        IN_AIR - OVER_PAD_OR_DESCENDING,
+        IN_AIR - OVER_PAD_OR_DESCENDING - {S.APPROACH},
         *_RETURN_CONTROL,
         except_={**_EARLY, S.HOLD: _CLEARS, **_GO_ON},
     ),
     *_rows(
         UNFOLLOWED,
         S.APPROACH,
+        *_CLEAR_IF_NEAR,
         *_RETURN_CONTROL,
         except_={**_all(LIVE - BY_THE_PAD, "it does not follow the pad"), **_GO_ON},
     ),
@@ -264,7 +268,12 @@ ROWS: Final = (
         _GIVE_UP,
         except_={S.STANDBY: _WAITS_FOR_OPERATOR, **_all(OVER_PAD_OR_DESCENDING, _LOST_WITH_IT)},
     ),
-    *_rows(E.STOP, IN_AIR - OVER_PAD_OR_DESCENDING, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON}),
+    *_rows(
+        E.STOP,
+        IN_AIR - OVER_PAD_OR_DESCENDING - {S.APPROACH},
+        *_RETURN_CONTROL,
+        except_={S.HOLD: _CLEARS, **_GO_ON},
+    ),
     *_rows(
         E.SUSPENDED,
         IN_AIR - OVER_PAD_OR_DESCENDING,

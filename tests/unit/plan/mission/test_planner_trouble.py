@@ -756,15 +756,28 @@ def test_a_camera_that_shows_turned_just_over_the_pad_climbs_clear_first() -> No
     assert w.flight.heights_m[-1] > 1.0
 
 
-def test_a_link_lost_just_after_a_try_has_failed_is_awaited_clear_of_the_pad() -> None:
+def after_a_failed_try() -> PlanWorld:
+    """The pad has turned aside, out of view: the next try begins a hand over it."""
     w = world(line())
     w.fly(60.0, until=lambda w: w.flight.told("commit") != [])
-    # GIVEN a pad that has turned aside, out of view: the next try begins a hand over it
     pad = w.pad
     w.pad = lambda t: (pad(t)[0] + 0.4, *pad(t)[1:])
     w.fly(20.0, until=lambda w: w.flight.phase is Phase.APPROACH)
     assert w.flight.heights_m[-1] < LEG_M + 0.3
-    # WHEN the link is lost THEN the vehicle is not in the way of the pad
+    return w
+
+
+def test_stopped_just_after_a_failed_try_it_climbs_clear_before_it_is_returned() -> None:
+    w = after_a_failed_try()
+    w.stop = True
+    w.fly(20.0)
+    ended_by_hold(w)
+    assert w.flight.told("climb")[-1].endswith("clear of the pad")
+    assert w.flight.heights_m[-1] > LEG_M + 1.0
+
+
+def test_a_link_lost_just_after_a_failed_try_is_awaited_clear_of_the_pad() -> None:
+    w = after_a_failed_try()
     w.autopilot.connected = False
     w.fly(6.0)
     assert w.flight.phase is Phase.HOLD

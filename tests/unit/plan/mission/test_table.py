@@ -221,13 +221,13 @@ def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(st
 @pytest.mark.parametrize(
     "event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST]
 )
-@pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
+@pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND, S.APPROACH}))
 def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(
     state: State, event: MissionEvent, ends: MissionEvent
 ) -> None:
     machine = StateMachine(retries=2)
     machine.state, machine.authority = state, Authority.OURS
-    branch = machine.follows(event, Circumstances())
+    branch = machine.follows(event, Circumstances(near=state is S.APPROACH))
     assert branch is not None
     assert (branch.to, branch.actions, branch.authority) == (S.HOLD, (), None)
     machine.take(branch)
