@@ -100,7 +100,13 @@ def _field(figures: Figures) -> Iterator[Finding]:
     if (ratio := figures.strength_ratio) is not None:
         text = f"the sensor shows {ratio:.2f} times the field that there is"
         yield from _above(STRENGTH_RATIO, max(ratio, 1.0 / ratio), text + " ({:.2f})")
-    if (dip := figures.dip) is not None:
+    if (dip := figures.dip) is None:
+        # an ellipsoid is the same for swapped or mirrored axes: only a second sensor tells them apart
+        yield False, (
+            "swapped or mirrored axes cannot be seen; expected an accelerometer's samples beside the "
+            f"magnetometer's, {LEAST_CALM} of them calm"
+        )
+    else:
         yield from _above(DIP_SPREAD_DEG, dip.spread_deg, "the dip wavers by {:.1f}° over the attitudes")
         if figures.true_dip_deg is not None:
             text = f"the dip is {dip.median_deg:.1f}°, {{:.1f}}° off the {figures.true_dip_deg:.1f}° there is"

@@ -197,7 +197,7 @@ GOOD_FIT = EllipsoidFit(
     condition=4.0,
     correlation_samples=1.0,
 )
-GOOD = Figures(samples=1000, kept=990, residual=0.02, residual_kept=0.01, coverage=0.95)
+GOOD = Figures(samples=1000, kept=990, residual=0.02, residual_kept=0.01, coverage=0.95, dip=Dip(64.0, 1.0, 500))
 
 
 def vague(index: int, std: float) -> EllipsoidFit:
@@ -214,6 +214,20 @@ def calibrated(raw: FloatArray, **options: object) -> Calibrated:
 
 def test_a_good_one_is_good() -> None:
     assert judge(GOOD_FIT, GOOD) == ("good", ())
+
+
+@pytest.mark.parametrize("swapped", [[1, 0, 2], [0, 2, 1]])
+def test_swapped_axes_are_refused_beside_gravity_and_else_said_to_be_unseen(swapped: list[int]) -> None:
+    """GIVEN axes 1 and 0 (or 2) swapped, WHEN fitted, THEN gravity refuses it; without, it is no "good" one."""
+    case = turned(0, samples=3000, half=False)
+    wrong = case.raw[:, swapped]
+    beside = MagnetometerRecording("test", "mpu9250", wrong, force=case.force)
+    told = {"field": None, "aligned": False, "tool": "t", "date": "d"}
+    quality = calibrate(beside, np.random.default_rng(0), **told).file.quality  # type: ignore[arg-type]
+    assert quality.verdict == "refused"
+    alone = calibrated(wrong).file.quality
+    assert alone.verdict == "usable"
+    assert "swapped or mirrored axes cannot be seen; expected an accelerometer" in "; ".join(alone.reasons)
 
 
 @pytest.mark.parametrize(
