@@ -142,6 +142,12 @@ def accelerometer_reasons(
     found = []
     if missing := [name for name in FACES if name not in faces]:
         found.append(f"never lay still on: {', '.join(missing)}; expected all six faces")
+    found += [
+        f"the {'xyz'[axis]} axis reads {rest.force[axis]:.2f} m/s² and no more from {rest.from_s:.1f} to "
+        f"{rest.to_s:.1f} s; expected its noise, within its range (too small a range, or a broken chip?)"
+        for rest in rests
+        for axis in rest.clipped
+    ]
     residual = float(np.sqrt(np.mean(fit.residuals**2)))
     if residual > MOST_RESIDUAL_M_S2:
         found.append(
@@ -197,7 +203,10 @@ SAME_FORCE_M_S2: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class StaticInterval:
-    """Means over one static interval: specific force (3,) m/s², rate (3,) rad/s; `samples` is their count."""
+    """Means over one static interval: specific force (3,) m/s², rate (3,) rad/s; `samples` is their count.
+
+    `clipped` are the axes on which most samples read one value that no sample of the recording goes beyond.
+    """
 
     force: FloatArray
     rate: FloatArray
@@ -205,6 +214,7 @@ class StaticInterval:
     samples: int
     from_s: float
     to_s: float
+    clipped: tuple[int, ...] = ()
 
 
 def find_static_intervals(inertial: ImuSamples) -> list[StaticInterval]:
@@ -251,8 +261,19 @@ def _rest(inertial: ImuSamples, edges: Indices, begin: int, end: int) -> list[St
             len(times),
             float(times[0]),
             float(times[-1]),
+            _clipped(inertial.force[inside], inertial.force),
         )
     ]
+
+
+def _clipped(force: FloatArray, recorded: FloatArray) -> tuple[int, ...]:
+    """The axes of samples at rest (n, 3) that most often read the end of what was recorded (m, 3).
+
+    Noise spreads a force within the range over many values. Equal but for the arithmetic of the mounting.
+    """
+    ends = (recorded.min(axis=0), recorded.max(axis=0))
+    shares = [np.isclose(force, end).mean(axis=0) for end in ends]
+    return tuple(int(axis) for axis in np.flatnonzero(np.maximum(*shares) > 0.5))
 
 
 # ---------------------------------------------------------------- guide

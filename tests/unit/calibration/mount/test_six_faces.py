@@ -91,6 +91,21 @@ def test_six_faces_give_offset_scale_and_bias() -> None:
     assert accelerometer_reasons(fit, rests, list(FACES)) == ()
 
 
+@pytest.mark.parametrize("mounting", [USUAL, (0.0, 0.0, 90.0)])
+def test_an_axis_at_the_end_of_its_range_is_refused(mounting: tuple[float, float, float]) -> None:
+    """GIVEN a z axis that reads 9 m/s² at most, WHEN it lies on all faces, THEN axis and value are told."""
+    turn = mounting_matrix(mounting)
+    samples = lying(mounting)
+    within = replace(samples, force=np.clip(samples.force, (-99.0, -99.0, -9.0), (99.0, 99.0, 9.0)))
+    # as a recording in body axes is read
+    rests = find_static_intervals(replace(within, force=within.force @ turn.T).turned(turn))
+    told = accelerometer_reasons(fit_accelerometer(rests), rests, faces_down(rests, turn))
+    assert sorted(line.split(" from ")[0] for line in told) == [
+        f"the z axis reads {value} m/s² and no more" for value in ("-9.00", "9.00")
+    ]
+    assert all("; expected its noise, within its range (too small a range" in line for line in told)
+
+
 def test_more_attitudes_give_the_skew() -> None:
     rng = np.random.default_rng(4)
     down = rng.standard_normal((40, 3))
