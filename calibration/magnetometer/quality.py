@@ -102,10 +102,8 @@ def _field(figures: Figures) -> Iterator[Finding]:
         yield from _above(STRENGTH_RATIO, max(ratio, 1.0 / ratio), text + " ({:.2f})")
     if (dip := figures.dip) is None:
         # an ellipsoid is the same for swapped or mirrored axes: only a second sensor tells them apart
-        yield False, (
-            "swapped or mirrored axes cannot be seen; expected an accelerometer's samples beside the "
-            f"magnetometer's, {LEAST_CALM} of them calm"
-        )
+        text = "swapped or mirrored axes cannot be seen; expected an accelerometer's samples beside them"
+        yield False, f"{text}, {LEAST_CALM} of them calm"
     else:
         yield from _above(DIP_SPREAD_DEG, dip.spread_deg, "the dip wavers by {:.1f}° over the attitudes")
         if figures.true_dip_deg is not None:

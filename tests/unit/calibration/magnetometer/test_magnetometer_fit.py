@@ -197,7 +197,9 @@ GOOD_FIT = EllipsoidFit(
     condition=4.0,
     correlation_samples=1.0,
 )
-GOOD = Figures(samples=1000, kept=990, residual=0.02, residual_kept=0.01, coverage=0.95, dip=Dip(64.0, 1.0, 500))
+GOOD = Figures(
+    samples=1000, kept=990, residual=0.02, residual_kept=0.01, coverage=0.95, dip=Dip(64.0, 1.0, 500)
+)
 
 
 def vague(index: int, std: float) -> EllipsoidFit:
@@ -218,7 +220,7 @@ def test_a_good_one_is_good() -> None:
 
 @pytest.mark.parametrize("swapped", [[1, 0, 2], [0, 2, 1]])
 def test_swapped_axes_are_refused_beside_gravity_and_else_said_to_be_unseen(swapped: list[int]) -> None:
-    """GIVEN axes 1 and 0 (or 2) swapped, WHEN fitted, THEN gravity refuses it; without, it is no "good" one."""
+    """GIVEN two axes swapped, WHEN fitted, THEN gravity refuses it; without gravity it is not "good"."""
     case = turned(0, samples=3000, half=False)
     wrong = case.raw[:, swapped]
     beside = MagnetometerRecording("test", "mpu9250", wrong, force=case.force)
