@@ -54,6 +54,12 @@ one_before() { [ -L "$PREVIOUS" ] && basename "$(readlink "$PREVIOUS")" || true;
 complete() { [ -e "$VERSIONS/$1/COMPLETE" ]; }
 service_runs() { systemctl is-active --quiet companion.service; }
 service_property() { systemctl show companion.service --property="$1" --value; }
+# up, or about to be: systemd starts one that crashes again (activating), once the one before has ended (deactivating)
+service_is_wanted() {
+    local state
+    while state="$(service_property ActiveState)" && [ "$state" = deactivating ]; do sleep 0.5; done
+    [ "$state" = active ] || [ "$state" = activating ] || [ "$state" = reloading ]
+}
 
 # what stands at a path is replaced in one step, also if the power fails
 put_link() { ln -sfn "$1" "$2.new" && mv -T "$2.new" "$2"; }
@@ -187,7 +193,7 @@ activate() {
         say "$name is in use already; the service was left alone"
         return 0
     fi
-    service_runs && ran=yes
+    service_is_wanted && ran=yes
     trap '' HUP
     trap 'take_back "$before" "$name" "$restarts" "interrupted"' INT TERM
     # first: the way back if the power fails now

@@ -1,7 +1,8 @@
 """Made-up releases and a made-up system for the installer's tests: no systemd, no network, no root.
 
 A release holds a wheel of a few lines in place of ours; its programs answer from files in the system's
-folder: `active` (the service runs), `status.json` (its answer), `starts` (the versions that were started).
+folder: `active` (the service runs), `state` (else systemd's word for it), `status.json` (its answer),
+`starts` (the versions that were started).
 `after-switch.json` and `after-start.json` are its answers from then on, where they are there.
 """
 
@@ -33,14 +34,15 @@ start() {
     echo "$version" >>"$COMPANION_BASE/starts"
     [ ! -L "$COMPANION_BASE/opt/companion/previous" ] \
         || basename "$(readlink "$COMPANION_BASE/opt/companion/previous")" >"$COMPANION_BASE/way_back"
-    rm -f "$COMPANION_BASE/active"
+    rm -f "$COMPANION_BASE"/{active,state}
     [ ! -e "$COMPANION_BASE/opt/companion/versions/$version/configs/fault" ] || return 1
     touch "$COMPANION_BASE/active"
     answers_as after-start
 }
 case "$*" in
     *is-active*) [ -e "$COMPANION_BASE/active" ] ;;
-    *ActiveState*) [ -e "$COMPANION_BASE/active" ] && echo active || echo failed ;;
+    *ActiveState*) [ -e "$COMPANION_BASE/active" ] && echo active \\
+        || cat "$COMPANION_BASE/state" 2>/dev/null || echo failed ;;
     *MainPID*) wc -l <"$COMPANION_BASE/starts" ;;
     restart*) start ;;
     daemon-reload*) answers_as after-switch ;;

@@ -114,6 +114,25 @@ def test_one_that_does_not_come_up_is_taken_back_with_the_service_up(system: Sys
     assert (system.base / "active").exists()
 
 
+@pytest.mark.parametrize("fault", [False, True])
+def test_a_service_that_crashes_again_and_again_is_restarted_and_checked_too(
+    fault: bool, empty: System
+) -> None:
+    """GIVEN systemd is about to start it again WHEN switched THEN the new version is checked like any."""
+    empty.has("1.0", "1.1")
+    (empty.base / "state").write_text("activating\n")
+    empty.will_answer("after-start")
+    if fault:
+        (empty.prefix / "versions/1.1/configs").mkdir()
+        (empty.prefix / "versions/1.1/configs/fault").touch()
+    done = empty.run(SYSTEMD / "companion-rollback", "1.1")
+    if fault:
+        assert (done.returncode, empty.in_use, empty.starts) == (1, "1.0", ["1.1", "1.0"]), done.stderr
+    else:
+        assert (done.returncode, empty.in_use, empty.starts) == (0, "1.1", ["1.1"]), done.stderr
+        assert "1.1 is in use; the service runs, and answers" in done.stdout
+
+
 def test_one_that_runs_and_says_nothing_is_told_apart_from_one_that_went_down(
     system: System, tmp_path: Path
 ) -> None:
