@@ -191,7 +191,7 @@ def _make_room(record: Path | None, config: CompanionConfig) -> None:
         if record is not None and record.is_dir():
             make_room(record, 1e6 * config.record.total_mb, 1e6 * config.record.free_mb)
     except (OSError, ConfigError) as error:
-        print(f"companion: {record}: no old flight removed: {error}", file=sys.stderr)
+        print(f"companion: {record}: not enough room was made: {error}", file=sys.stderr)
 
 
 def new_log(folder: Path | None, *, virtual: bool, keeps: bool = True) -> FlightLog:

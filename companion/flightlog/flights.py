@@ -93,27 +93,32 @@ def make_room(root: Path, cap_bytes: float, free_bytes: float, keep: Collection[
     """Remove the oldest flights until they hold no more than `cap_bytes` and the disk has `free_bytes` free.
 
     The newest flight and those in `keep` (the one being written) stay, whatever the limits say; a flight
-    that cannot be removed is passed over. Returns what was removed.
+    that cannot be removed is passed over. None is removed for free room that all of them would not make.
+    Returns what was removed.
 
     Raises:
-        ConfigError: the whole disk is smaller than `free_bytes`, so that no removal would be the last one.
+        ConfigError: `free_bytes` cannot be reached; `cap_bytes` is kept to all the same.
     """
-    if free_bytes > (disk_bytes := shutil.disk_usage(root).total):
-        raise ConfigError(
-            f"record.free_mb {free_bytes / 1e6:.6g}: expected less than the disk's {disk_bytes / 1e6:.0f} MB"
-        )
     for rest in root.glob(f"{REMOVED_PREFIX}*"):
         shutil.rmtree(rest, ignore_errors=True)
     flights = numbered_flights(root)
     kept = {path.resolve() for path in (*keep, *flights[-1:])}
     sizes = {path: size_bytes(path) for path in flights}
+    removable = sum(sizes[path] for path in flights if path.resolve() not in kept)
+    most_free = shutil.disk_usage(root).free + removable
+    wanted = free_bytes if free_bytes <= most_free else 0.0
     total, removed = sum(sizes.values()), []
     for path in flights:
-        if total <= cap_bytes and shutil.disk_usage(root).free >= free_bytes:
+        if total <= cap_bytes and shutil.disk_usage(root).free >= wanted:
             break
         if path.resolve() not in kept and _remove(path):
             removed.append(path)
             total -= sizes[path]
+    if free_bytes > most_free:
+        raise ConfigError(
+            f"record.free_mb {free_bytes / 1e6:.6g}: without all old flights {most_free / 1e6:.0f} MB would "
+            "be free, so none was removed for it; expected other files removed, or less"
+        )
     return removed
 
 

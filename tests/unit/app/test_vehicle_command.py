@@ -52,7 +52,7 @@ def test_a_damaged_card_keeps_no_service_from_starting(
     settings.write_text("{}\n", encoding="utf-8")
     assert stand_by(settings, Output(tmp_path, None, live=False)) == 0
     said = capsys.readouterr().err.splitlines()
-    assert [line for line in said if "no old flight removed: [Errno 117] Structure needs cleaning" in line]
+    assert [line for line in said if "not enough room was made: [Errno 117] Structure needs cleaning" in line]
 
 
 async def test_who_asks_by_the_link_is_told_how_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:

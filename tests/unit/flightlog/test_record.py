@@ -264,11 +264,30 @@ def test_a_full_disk_makes_room_too(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert make_room(tmp_path, 10**9, 2000) == flights[:2]
 
 
+def test_no_flight_is_removed_in_vain_where_other_programs_have_filled_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GIVEN a disk full of others' files, WHEN all flights would not make room, THEN they stay, and why."""
+    flights = filled(tmp_path, range(1, 6), 1000)
+
+    def usage(_: Path) -> Any:
+        free = 1000 * sum(not path.exists() for path in flights)
+        return shutil._ntuple_diskusage(9_000_000, 9_000_000 - free, free)
+
+    monkeypatch.setattr(shutil, "disk_usage", usage)
+    with pytest.raises(ConfigError, match=r"^record\.free_mb 0\.005: without all old flights 0 MB"):
+        make_room(tmp_path, 10**9, 5000)  # the newest stays: four of them make 4000
+    assert numbered_flights(tmp_path) == flights
+    with pytest.raises(ConfigError, match=r"^record\.free_mb"):
+        make_room(tmp_path, 3500, 5000)  # what all flights may take is within reach
+    assert numbered_flights(tmp_path) == flights[2:]
+
+
 @pytest.mark.parametrize("free_bytes", [1e15, math.inf])
 def test_no_flight_is_removed_for_more_room_than_the_disk_has(tmp_path: Path, free_bytes: float) -> None:
     """GIVEN bytes or gigabytes typed for megabytes, WHEN room is made, THEN all flights stay, and why."""
     flights = filled(tmp_path, range(1, 6), 1000)
-    with pytest.raises(ConfigError, match=r"record\.free_mb .*: expected less than the disk's [0-9]+ MB$"):
+    with pytest.raises(ConfigError, match=r"^record\.free_mb .*: without all old flights [0-9]+ MB would"):
         make_room(tmp_path, math.inf, free_bytes)
     assert numbered_flights(tmp_path) == flights
 
