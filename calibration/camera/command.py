@@ -171,7 +171,7 @@ def command(
         "sensor_mode_px": None if sensor_mode is None else two_numbers(sensor_mode, "--sensor-mode"),
         "pixel_format": pixel_format,
     }
-    capture = validate(CaptureConfig, values, NAME)
+    capture = validate(CaptureConfig, values, "the options")
     sized = size is not None
     job = CameraCalibrationJob(
         given, capture, sized, model, views, output, keep, overlay, serve, plots, force=force

@@ -35,7 +35,7 @@ def print_board(board: CalibrationBoard, output: Path, paper: PaperName) -> None
 
 def calibrate_camera(job: CameraCalibrationJob, board: CalibrationBoard) -> None:
     """Collect views, calibrate, judge and write."""
-    must_be_writable("--output", job.output)
+    must_be_writable("--output", job.output, ".yaml")
     if job.plots is not None:
         must_be_writable("--plots", make_folder("--plots", job.plots) / "errors.png")
     # an earlier attempt that took no picture has left its board there

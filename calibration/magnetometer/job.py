@@ -82,7 +82,7 @@ def calibrate_magnetometer(job: MagnetometerCalibrationJob) -> None:
 
 def _check_outputs(job: MagnetometerCalibrationJob) -> None:
     """Check before anybody turns a vehicle for minutes."""
-    must_be_writable("--output", job.output)
+    must_be_writable("--output", job.output, ".yaml")
     if job.picture is not None:
         must_be_writable("--plot", job.picture)
         if job.picture.suffix.lower() not in PICTURE_KINDS:

@@ -97,7 +97,7 @@ def accelerometer_command(
     keep: KeepOption = None,
     force: ForceOption = False,
 ) -> None:
-    must_be_writable("-o", output)
+    must_be_writable("-o", output, ".yaml")
     _check(log, config, gyro_unit)
     from calibration.mount.imu_calibration import ImuJob, calibrate_on_faces  # noqa: PLC0415 - once the files are there
 
@@ -116,7 +116,7 @@ def gyro_command(
     keep: KeepOption = None,
     force: ForceOption = False,
 ) -> None:
-    must_be_writable("-o", output)
+    must_be_writable("-o", output, ".yaml")
     _check(log, config, gyro_unit)
     from calibration.mount.imu_calibration import ImuJob, calibrate_gyro_bias  # noqa: PLC0415 - once the files are there
 
@@ -194,7 +194,7 @@ def camera_command(
     ] = 10.0,
     force: ForceOption = False,
 ) -> None:
-    must_be_writable("-o", output)
+    must_be_writable("-o", output, ".yaml")
     if plots is not None:
         must_be_writable("--plots", make_folder("--plots", plots) / "mount_rates.png")
     must_exist(log, EXPECTED)

@@ -227,8 +227,10 @@ async def test_live_images_of_another_size_are_reported(
         (("tcp:127.0.0.1:1",), "expected a program that serves frames"),
         (
             ("{photos}", "-o", "nowhere/x.yaml"),
-            "--output nowhere/x.yaml: expected a file in an existing folder",
+            "--output nowhere/x.yaml: expected a .yaml file in an existing folder",
         ),
+        (("{photos}", "-o", "{text}"), "--output {text}: expected a .yaml file"),
+        (("{photos}", "--rate", "1"), "calibrate-camera: the options: rate_hz: expected"),
         (("{photos}", "--plots", "{text}"), "--plots {text}: cannot be made: File exists"),
         (("{photos}", "--keep", "{photos}"), "holds files already"),
         (("{photos}", "--model", "fish"), "'fish' is not one of 'brown', 'rational', 'fisheye'"),

@@ -140,7 +140,9 @@ def test_a_picture_that_cannot_be_written_does_not_cost_the_calibration(
         (("a.csv", "--date", "yesterday"), "--date yesterday: expected YYYY-MM-DD"),
         (("a.csv", "--sensor", "bmm"), "'bmm' is not one of 'mpu9250', 'autopilot', 'other'"),
         (("a.csv", "--fit", "best"), "'best' is not one of 'auto', 'likelihood', 'residual'"),
-        (("a.csv", "-o", "no/where.yaml"), "--output no/where.yaml: expected a file"),
+        (("a.csv", "-o", "no/where.yaml"), "--output no/where.yaml: expected a .yaml file"),
+        # the recording itself
+        (("a.csv", "-o", "a.csv"), "--output a.csv: expected a .yaml file in an existing folder"),
         (("a.csv", "--plot", "no/where.png"), "--plot no/where.png: expected a file"),
         (("a.csv", "--plot", "a.xyz"), "--plot a.xyz: expected a name that ends in .png"),
         (("a.csv", "--date", "0001-01-01"), "--date 0001-01-01: expected YYYY-MM-DD, from 2000 to 2040"),
