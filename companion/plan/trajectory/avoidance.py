@@ -142,10 +142,12 @@ class Avoidance:
             return direct
         start, kept = direct.at(now_s), self._flown.detour
         late = kept is not None and direct.end_s > max(now_s, kept.end_s) + _LATER_S
-        if not late and self.clear(direct, now_s):
+        if not late and self.keeps_clear(direct, now_s, self.frame):
             self.forget()
             return direct
-        if kept is not None and not (_on(kept, start, now_s, level=level) and self.clear(kept, now_s)):
+        if kept is not None and not (
+            _on(kept, start, now_s, level=level) and self.keeps_clear(kept, now_s, self.frame)
+        ):
             kept = None
         if kept is not None and (now_s < self._flown.think_again_s or _leads_to(kept, target, now_s)):
             return kept
@@ -171,7 +173,7 @@ class Avoidance:
         for via in self._roomy(places):
             for pace in (paced, halting):
                 course = pace(start, via, Motion(points[-1]), now_s, self._limits)
-                if self._keeps_clear(course, now_s, STILL):
+                if self.keeps_clear(course, now_s, STILL):
                     return course
         self._block(now_s)
         return None
@@ -187,9 +189,9 @@ class Avoidance:
         """
         flown = self._flown.stop
         kept = flown.in_space if flown is not None and _on(flown.seen, start, now_s, level=level) else None
-        if kept is None or not self._keeps_clear(kept, now_s, STILL):
+        if kept is None or not self.keeps_clear(kept, now_s, STILL):
             again = self._braked(in_space(start, self.frame), STILL, now_s)
-            kept = again if kept is None or self._keeps_clear(again, now_s, STILL) else kept
+            kept = again if kept is None or self.keeps_clear(again, now_s, STILL) else kept
         seen = carried(kept, space_seen_from(self.frame), now_s)
         self._flown = replace(self._flown, stop=_Stop(kept, seen))
         return seen
@@ -208,10 +210,6 @@ class Avoidance:
         times_s = np.arange(0.0, duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
         points = np.array(place) + predicted_places(self.frame, times_s)
         return bool(np.min(self._clearance_m(points)) >= self._margin_m)
-
-    def clear(self, way: PlannedPath, now_s: float) -> bool:
-        """Whether what is left of a way in the reference's frame keeps the margin."""
-        return self._keeps_clear(way, now_s, self.frame)
 
     @property
     def situation(self) -> Situation:
@@ -238,7 +236,7 @@ class Avoidance:
 
     # ------------------------------------------------------------ judging
 
-    def _keeps_clear(self, way: PlannedPath, now_s: float, frame: Motion) -> bool:
+    def keeps_clear(self, way: PlannedPath, now_s: float, frame: Motion) -> bool:
         """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
         if not self.needed:
             return True
@@ -276,7 +274,7 @@ class Avoidance:
         for via in self._ways(start.position_m, met, now_s, level):
             for pace in (paced, halting):
                 found = pace(start, via, target, now_s, self._limits)
-                if self._keeps_clear(found, now_s, STILL):
+                if self.keeps_clear(found, now_s, STILL):
                     corners = tuple((leg.end_s, c) for leg, c in zip(found.legs, via, strict=False))
                     return found.carried(space_seen_from(self.frame), now_s), corners
         return None
@@ -353,7 +351,7 @@ class Avoidance:
         """Come to rest in a frame; harder where the gentle stop comes too near."""
         stop = brake(start, now_s, self._limits.horizontal_acceleration_m_s2)
         for deceleration in (HARD_STOP_M_S2, 1.5 * HARD_STOP_M_S2):  # the last is taken anyway
-            if self._keeps_clear(stop, now_s, frame):
+            if self.keeps_clear(stop, now_s, frame):
                 break
             stop = brake(start, now_s, deceleration)
         return stop

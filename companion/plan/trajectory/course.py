@@ -16,26 +16,20 @@ Frame-free, m and s.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3, add, norm, scale
+from companion.base.geometry import ZERO3, FloatArray, Vector3, add, norm, scale
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig
-from companion.plan.trajectory.min_jerk import (
-    MOST_STRETCHES,
-    REST_PEAK,
-    Trajectory,
-    carried,
-    greatest_speeds,
-    plan,
-    stretched,
-)
+from companion.plan.trajectory.min_jerk import REST_PEAK, Trajectory, carried, plan
 
+CHECKED: Final = 8  # so many steps of a leg are looked at for its limits
+_MOST_STRETCHES: Final = 8
 # So near to the limits is near enough: behind a target that runs, the last few per cent take for ever.
 _NEAR_ENOUGH: Final = 1.05
 _REST_PUSH: Final = 5.7735  # from rest to rest the greatest acceleration so many times distance / time²
@@ -85,6 +79,7 @@ class Course:
 
 
 PlannedPath = Trajectory | Course
+_Path = TypeVar("_Path", Trajectory, Course)
 
 
 def through(
@@ -156,18 +151,18 @@ def paced(
         durations_s = [times * duration_s for duration_s in first_s]
         return through(start, via, _met(target, sum(durations_s)), start_s, durations_s)
 
-    return stretched(lasting, limits, target.velocity_m_s, len(first_s), _NEAR_ENOUGH)
+    return stretched(lasting, limits, target.velocity_m_s, _NEAR_ENOUGH)
 
 
 def _first_guess(
     start: Motion, via: Sequence[Vector3], target: Motion, limits: GuidanceConfig
 ) -> list[float]:
     durations = [limits.minimum_time_s]
-    for _ in range(MOST_STRETCHES):  # the target moves on meanwhile
+    for _ in range(_MOST_STRETCHES):  # the target moves on meanwhile
         before_s = sum(durations)
         places = [start.position_m, *via, _met(target, before_s).position_m]
         durations = [
-            max(_SHORTEST_S, _crossing_s(p, q, *greatest_speeds(target.velocity_m_s, limits)) / _MEAN_SHARE)
+            max(_SHORTEST_S, _crossing_s(p, q, *_greatest_speeds(target.velocity_m_s, limits)) / _MEAN_SHARE)
             for p, q in pairwise(places)
         ]
         durations[0] += 0.5 * limits.minimum_time_s
@@ -218,3 +213,53 @@ def _from_rest_s(p: Vector3, q: Vector3, limits: GuidanceConfig) -> float:
     )
     crossing_s = _crossing_s(p, q, limits.horizontal_speed_m_s, limits.vertical_speed_m_s)
     return max(_SHORTEST_S, REST_PEAK * crossing_s, math.sqrt(_REST_PUSH * push))
+
+
+def stretched(
+    lasting: Callable[[float], _Path],
+    limits: GuidanceConfig,
+    target_m_s: Vector3 = ZERO3,
+    near_enough: float = 1.001,
+) -> _Path:
+    """The quickest of some ways that breaks no limit, unless its start does already: that cannot be mended.
+
+    Args:
+        lasting: the way that lasts so many times as long as the first; all have the same start.
+        limits: of the speed relative to the target, and of the acceleration.
+        target_m_s: velocity of what they lead to, in their frame.
+        near_enough: so many times a limit counts as kept.
+    """
+    times, way = 1.0, lasting(1.0)
+    excess = _excess(way, limits, target_m_s)
+    for _ in range(_MOST_STRETCHES):
+        if excess <= near_enough:
+            break
+        times *= min(excess, 1.5)
+        longer = lasting(times)
+        before, excess = excess, _excess(longer, limits, target_m_s)
+        if excess >= before:
+            break  # an acceleration at the start lasts longer too, and leads to more speed
+        way = longer
+    return way
+
+
+def _excess(way: PlannedPath, limits: GuidanceConfig, target_m_s: Vector3) -> float:
+    """By what factor a way should last longer."""
+    steps = CHECKED * (len(way.legs) if isinstance(way, Course) else 1)
+    step_s = way.duration_s / steps
+    along = [way.at(way.start_s + k * step_s) for k in range(steps + 1)]
+    push, lift = limits.horizontal_acceleration_m_s2, limits.vertical_acceleration_m_s2
+    speed = _over([m.velocity_m_s for m in along], *_greatest_speeds(target_m_s, limits))
+    return max(speed, math.sqrt(_over([m.acceleration_m_s2 for m in along], push, lift)))
+
+
+def _over(along: Sequence[Vector3], across: float, down: float) -> float:
+    """The greatest of them over the limits across and along down, or over the first where that is more."""
+    flat, steep = [math.hypot(x, y) for x, y, _ in along], [abs(z) for *_, z in along]
+    return max(max(flat) / max(across, flat[0]), max(steep) / max(down, steep[0]))
+
+
+def _greatest_speeds(target_m_s: Vector3, limits: GuidanceConfig) -> tuple[float, float]:
+    """The greatest speeds across and along down: relative to a target that runs from who stands, its own."""
+    across, along = math.hypot(*target_m_s[:2]), abs(target_m_s[2])
+    return across + max(limits.horizontal_speed_m_s, across), along + max(limits.vertical_speed_m_s, along)

@@ -1,4 +1,4 @@
-"""Minimum-jerk trajectories: one quintic an axis (eqs. 20-30), their duration (eq. 37) and their limits.
+"""Minimum-jerk trajectories: one quintic an axis (eqs. 20-30) and their duration (eq. 37).
 
 Frame-free: whatever frame the boundary states are in (pad-relative NED or the EKF's NED) the
 trajectory is in. Metres and seconds; tau = (t - t0) / T runs from 0 to 1.
@@ -11,22 +11,17 @@ meet a point that moves. With x(1) = xf, x'(1) = T vf, x''(1) = T² af the three
 which for vf = af = 0 gives back eq. 30.
 """
 
-import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeVar
+from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import ZERO3, FloatArray, Vector3
+from companion.base.geometry import FloatArray
 from companion.base.motion import Motion
-from companion.config import GuidanceConfig
 
 Coefficients = tuple[float, float, float, float, float, float]
 
 REST_PEAK: Final = 1.875  # from rest to rest the greatest speed is so many times the mean
-CHECKED: Final = 8  # so many steps of a way are looked at for its limits
-MOST_STRETCHES: Final = 8
 SHORTEST_STOP_S: Final = 0.6
 HARD_STOP_M_S2: Final = 3.0  # harder than the plan's own limits, for safety and to keep the pad in view
 
@@ -35,7 +30,7 @@ def trajectory_time_s(distance_m: float, speed_m_s: float, minimum_time_s: float
     """T (s) of a way |Δ| (m) at an average speed V (m/s): T = |Δ| / V + T_min, eq. 37 of the paper.
 
     V comes from the speed law (`companion.plan.speed`), T_min is the setting `plan.guidance.minimum_time_s`.
-    `within_limits` lengthens it if speed or acceleration would exceed its limit.
+    `stretched` lengthens it if speed or acceleration would exceed its limit.
     """
     return distance_m / speed_m_s + minimum_time_s
 
@@ -62,19 +57,6 @@ def quintic(
         -15.0 * delta + t * (8.0 * v0 + 7.0 * vf) + t2 * (1.5 * a0 - af),
         6.0 * delta - t * (3.0 * v0 + 3.0 * vf) - t2 * (0.5 * a0 - 0.5 * af),
     )
-
-
-class _Way(Protocol):
-    @property
-    def start_s(self) -> float: ...
-
-    @property
-    def duration_s(self) -> float: ...
-
-    def at(self, time_s: float) -> Motion: ...
-
-
-_W = TypeVar("_W", bound=_Way)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,59 +159,3 @@ def carried(trajectory: Trajectory, by: Motion, at_s: float) -> Trajectory:
         )
     )
     return Trajectory(trajectory.start_s, trajectory.duration_s, (x, y, z))
-
-
-def within_limits(moving: Motion, duration_s: float, now_s: float, limits: GuidanceConfig) -> Trajectory:
-    """The way to the origin at rest, longer than asked where speed or acceleration would be too much."""
-    return stretched(lambda share: plan(moving, Motion(ZERO3), now_s, share * duration_s), limits)
-
-
-def stretched(
-    lasting: Callable[[float], _W],
-    limits: GuidanceConfig,
-    target_m_s: Vector3 = ZERO3,
-    legs: int = 1,
-    near_enough: float = 1.001,
-) -> _W:
-    """The quickest of some ways that breaks no limit, unless its start does already: that cannot be mended.
-
-    Args:
-        lasting: the way that lasts so many times as long as the first; all have the same start.
-        limits: of the speed relative to the target, and of the acceleration.
-        target_m_s: velocity of what they lead to, in their frame.
-        legs: how many each of them has.
-        near_enough: so many times a limit counts as kept.
-    """
-    times, way = 1.0, lasting(1.0)
-    excess = _excess(way, limits, target_m_s, legs)
-    for _ in range(MOST_STRETCHES):
-        if excess <= near_enough:
-            break
-        times *= min(excess, 1.5)
-        longer = lasting(times)
-        before, excess = excess, _excess(longer, limits, target_m_s, legs)
-        if excess >= before:
-            break  # an acceleration at the start lasts longer too, and leads to more speed
-        way = longer
-    return way
-
-
-def _excess(way: _Way, limits: GuidanceConfig, target_m_s: Vector3, legs: int) -> float:
-    """By what factor a way should last longer."""
-    step_s = way.duration_s / (legs * CHECKED)
-    along = [way.at(way.start_s + k * step_s) for k in range(legs * CHECKED + 1)]
-    push, lift = limits.horizontal_acceleration_m_s2, limits.vertical_acceleration_m_s2
-    speed = _over([m.velocity_m_s for m in along], *greatest_speeds(target_m_s, limits))
-    return max(speed, math.sqrt(_over([m.acceleration_m_s2 for m in along], push, lift)))
-
-
-def _over(along: Sequence[Vector3], across: float, down: float) -> float:
-    """The greatest of them over the limits across and along down, or over the first where that is more."""
-    flat, steep = [math.hypot(x, y) for x, y, _ in along], [abs(z) for *_, z in along]
-    return max(max(flat) / max(across, flat[0]), max(steep) / max(down, steep[0]))
-
-
-def greatest_speeds(target_m_s: Vector3, limits: GuidanceConfig) -> tuple[float, float]:
-    """The greatest speeds across and along down: relative to a target that runs from who stands, its own."""
-    across, along = math.hypot(*target_m_s[:2]), abs(target_m_s[2])
-    return across + max(limits.horizontal_speed_m_s, across), along + max(limits.vertical_speed_m_s, along)

@@ -15,16 +15,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final, Literal
 
-from companion.base.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
+from companion.base.geometry import ZERO3, Vector3, add, dot, norm, scale, subtract, wrap_angle
 from companion.base.messages import DescentCone, LevelOff, Reference
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.debounce import StepClock
 from companion.plan.trajectory.avoidance import Avoidance
 from companion.plan.trajectory.coordinate_frames import STILL
-from companion.plan.trajectory.course import Course, PlannedPath
+from companion.plan.trajectory.course import CHECKED, Course, PlannedPath, stretched
 from companion.plan.trajectory.min_jerk import (
-    CHECKED,
     HARD_STOP_M_S2,
     REST_PEAK,
     Trajectory,
@@ -32,7 +31,6 @@ from companion.plan.trajectory.min_jerk import (
     carried,
     plan,
     trajectory_time_s,
-    within_limits,
 )
 
 RESET_DISTANCE_M: Final = 0.8  # reference to estimate: beyond it the reference starts afresh
@@ -165,7 +163,7 @@ class ReferenceGenerator:
         flown = self._trajectory
         if isinstance(flown, Course):
             same = math.dist(flown.at(flown.end_s).position_m, points[-1]) <= SAME_POINT_M
-            if same and self.avoidance.clear(flown, now_s):
+            if same and self.avoidance.keeps_clear(flown, now_s, self.avoidance.frame):
                 self.time_to_go_s = max(0.0, flown.end_s - now_s)
                 return
         course = self.avoidance.along(self.at(now_s), points, now_s)
@@ -193,7 +191,9 @@ class ReferenceGenerator:
         speed = self.pace * self._law(distance, dot(closing, unit), dot(gaining, unit))
         moving = Motion(scale(offset, -1.0), closing, gaining)
         duration_s = trajectory_time_s(distance, speed, self.limits.minimum_time_s)
-        relative = within_limits(moving, duration_s, now_s, self.limits)
+        relative = stretched(
+            lambda share: plan(moving, Motion(ZERO3), now_s, share * duration_s), self.limits
+        )
         direct = carried(relative, target, now_s)
         way = self.avoidance.way(
             direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level

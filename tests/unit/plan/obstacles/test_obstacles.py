@@ -452,10 +452,12 @@ def test_a_thin_pole_on_a_way_of_many_minutes_is_not_stepped_over() -> None:
     g = generator(*(pole_shape(n, 0.0, radius=0.1) for n in (6.0,)))
     start, goal = Motion(from_home(0.0, 0.0, 5.0)), Motion(from_home(1900.0, 0.0, 5.0))
     for phase_s in np.arange(0.0, 1.0, 0.1).tolist():
-        assert not g.avoidance.clear(plan(start, goal, -60.0 - phase_s, 3600.0), -60.0 - phase_s)
+        assert not g.avoidance.keeps_clear(
+            plan(start, goal, -60.0 - phase_s, 3600.0), -60.0 - phase_s, g.avoidance.frame
+        )
         running = Motion(from_home(-1.0, 0.0, 5.0), (3.0, 0.0, 0.0))
         goes_on = Motion(from_home(1799.0, 0.0, 5.0), (3.0, 0.0, 0.0))
-        assert not g.avoidance.clear(plan(running, goes_on, phase_s, 600.0), phase_s)
+        assert not g.avoidance.keeps_clear(plan(running, goes_on, phase_s, 600.0), phase_s, g.avoidance.frame)
 
 
 def test_no_graph_is_made_in_flight() -> None:
