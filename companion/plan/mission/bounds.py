@@ -52,8 +52,7 @@ class Bounds:
         self, vehicle: VehicleState | None, pad: PadState | None, autopilot: AutopilotState, now_s: float
     ) -> Iterator[DetectedEvent]:
         """Bounds that are reached."""
-        if vehicle is not None and vehicle.origin is not None and autopilot.home is not None:
-            here = self._from_home(vehicle, autopilot, autopilot.home, vehicle.origin)
+        if vehicle is not None and (here := self._from_home(vehicle, autopilot)) is not None:
             yield from self._space(vehicle, here)
         yield from self._pad(pad, now_s)
 
@@ -66,21 +65,21 @@ class Bounds:
         autopilot: AutopilotState,
     ) -> bool:
         """Whether the pad (EKF's NED) is still inside the fence then, if it drives and turns on as now."""
-        if pad is None or vehicle is None or vehicle.origin is None or autopilot.home is None:
+        here = None if vehicle is None else self._from_home(vehicle, autopilot)
+        if pad is None or vehicle is None or here is None:
             return True
-        here = self._from_home(vehicle, autopilot, autopilot.home, vehicle.origin)
         from_home_m = add(here, subtract(pad.position_m, vehicle.position_ned_m))
         north, east = along_arc(from_home_m, pad.velocity_m_s, turn_rate_rad_s, duration_s)
         return math.hypot(north, east) <= self._config.fence_m
 
-    def _from_home(
-        self, vehicle: VehicleState, autopilot: AutopilotState, home: Vector3, origin: Vector3
-    ) -> Vector3:
+    def _from_home(self, vehicle: VehicleState, autopilot: AutopilotState) -> Vector3 | None:
         """The vehicle's place from home (NED, m); without GPS ours drifts: the worse of both."""
-        ours = subtract(vehicle.position_ned_m, ned_from_geodetic(*home, origin))
+        if vehicle.origin is None or autopilot.home is None:
+            return None
+        ours = subtract(vehicle.position_ned_m, ned_from_geodetic(*autopilot.home, vehicle.origin))
         if vehicle.has_gps or autopilot.global_position is None:
             return ours
-        theirs = ned_from_geodetic(*autopilot.global_position, home)
+        theirs = ned_from_geodetic(*autopilot.global_position, autopilot.home)
         north, east, _ = max(ours, theirs, key=lambda place: math.hypot(*place[:2]))
         return north, east, min(ours[2], theirs[2])
 
@@ -102,10 +101,8 @@ class Bounds:
         c = self._config
         acceleration = 0.0
         if pad is not None:
-            speed, uncertain_m_s = (
-                math.hypot(*pad.velocity_ned_m_s[:2]),
-                SIGMA_THRESHOLD * pad.velocity_std_m_s,
-            )
+            speed = math.hypot(*pad.velocity_ned_m_s[:2])
+            uncertain_m_s = SIGMA_THRESHOLD * pad.velocity_std_m_s
             if speed - uncertain_m_s > c.pad_speed_m_s:
                 words = f"{speed:.1f} ±{uncertain_m_s:.1f} m/s, limit {c.pad_speed_m_s:g}"
                 yield MissionEvent.PAD_TOO_FAST, words

@@ -40,17 +40,13 @@ _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 # What lasts longer does not pass: without a plan the stop is complete, and the vehicle drifts with the wind;
 # a vehicle that is thrown over and comes back is not at rest meanwhile.
 _PASSES_S = 1.0
+# a wind that could not be held against leads out of the fence, and past every time limit
 _LED_AWAY = frozenset({MissionEvent.OUT_OF_BOUNDS, MissionEvent.OVERTIME, MissionEvent.TIMEOUT})
 _EVENTS: dict[Reaction | None, MissionEvent] = {
     Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
     Reaction.HAND_BACK_AWAY: MissionEvent.VELOCITY_UNCERTAIN,
     Reaction.LEAVE_PAD: MissionEvent.PAD_DISPUTED,
 }
-
-
-def _seen_until_lost(vehicle: VehicleState | None, pad: PadState | None) -> bool:
-    """Whether the pad was in view when the IMU was last heard; without it no sighting is taken in."""
-    return vehicle is not None and pad is not None and vehicle.sensed_time_s - pad.seen_time_s <= FRESH_S
 
 
 def _mode_words(inputs: PlanInputs) -> str:
@@ -87,11 +83,6 @@ def _signs(inputs: PlanInputs, *, control_granted: bool, taken_over: bool) -> It
         yield E.LINK_LOST, words
     else:
         yield E.LINK_UP, "heartbeat again"
-
-
-def _cause(event: MissionEvent, shortage: str) -> str:
-    """A wind that could not be held against leads out of the fence, and past every time limit."""
-    return f"; {shortage}" if shortage and event in _LED_AWAY else ""
 
 
 def _disputed(
@@ -155,7 +146,8 @@ class FailsafeMonitor:
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(phase_s, mission_s)]
-        return by_severity([(event, words + _cause(event, inputs.shortage)) for event, words in found])
+        cause = f"; {inputs.shortage}" if inputs.shortage else ""
+        return by_severity([(e, words + cause if e in _LED_AWAY else words) for e, words in found])
 
     def after_end(self, autopilot: AutopilotState) -> tuple[DetectedEvent, ...]:
         """Whether somebody has taken the vehicle while the mission's end still asks for something."""
@@ -209,10 +201,13 @@ class FailsafeMonitor:
     ) -> Iterator[DetectedEvent]:
         # In the final descent over a pad that was in view until then it is lost only when the estimator gives
         # none any more: LAND would brake the vehicle over a pad that drives on. Of a pad that was out of view
-        # before, the motion is known from too long ago.
-        follows = self._machine.state is State.SINK and _seen_until_lost(vehicle, pad)
+        # before, the motion is known from too long ago; no sighting is taken in without the IMU.
+        sensed_s = -math.inf if vehicle is None else vehicle.sensed_time_s
+        follows = (
+            self._machine.state is State.SINK and pad is not None and sensed_s - pad.seen_time_s <= FRESH_S
+        )
         longest_s = IMU_TIMEOUT_S if follows else KNOWN_S
-        if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > longest_s:
+        if vehicle is None or not vehicle.aligned or now_s - sensed_s > longest_s:
             yield MissionEvent.ESTIMATE_LOST, "no current vehicle estimate"
         elif uncertain := velocity_words(vehicle, self._config):
             yield MissionEvent.VELOCITY_UNCERTAIN, uncertain

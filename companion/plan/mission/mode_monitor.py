@@ -44,10 +44,6 @@ def short_name(mode: str) -> str:
     return mode.upper().rsplit(".", 1)[-1].replace(" ", "_")
 
 
-def _control(kind: AutopilotKind) -> str:
-    return PROFILES[kind].control_mode
-
-
 def in_land(autopilot: AutopilotState) -> bool:
     """Whether the autopilot says that it lands."""
     return autopilot.connected and short_name(autopilot.mode or "") == _LAND
@@ -66,7 +62,7 @@ def _asked_for(
     """The modes that these requests lead to."""
     hold = short_name(PROFILES[kind].hold_mode)
     holds = dict.fromkeys((ActionKind.HOLD, ActionKind.HOLD_IF_OBEYED, ActionKind.LEAVE_OFFBOARD), hold)
-    modes = {ActionKind.TAKE_CONTROL: _control(kind), ActionKind.LAND: _LAND, **holds}
+    modes = {ActionKind.TAKE_CONTROL: PROFILES[kind].control_mode, ActionKind.LAND: _LAND, **holds}
     found = {modes[action] for action in asked if action in modes}
     # a PX4 that has come down in LAND and disarmed goes to Hold by itself; in the air it is chosen
     if _LAND in found and autopilot.landed is LandedState.ON_GROUND:
@@ -119,15 +115,15 @@ class ModeMonitor:
         self._climbed = self._climbed or over_home_m is None or over_home_m >= self._done_m
         theirs = authority is Authority.PILOT
         ours = self._ours(state, authority, autopilot, kind, asked)
-        if mode in (frozenset({_control(kind)}) if theirs else ours):
+        if mode in (frozenset({PROFILES[kind].control_mode}) if theirs else ours):
             self._found = self._found if mode == self._found else ""
             return False
         if authority is Authority.OURS and self._awaits_setpoints(autopilot, mode, kind, now_s):
             return False
         on_the_way_up = authority is Authority.NONE and state in {State.ARM, State.TAKE_OFF}
-        return not (
-            (on_the_way_up or theirs) and self._still_as_found(mode, requested=requested, now_s=now_s)
-        )
+        as_found = (on_the_way_up or theirs) and mode == self._found
+        # the autopilot may not have changed yet into the mode that was asked for
+        return not (as_found and self._held.held_s("requested", requested, now_s) <= TAKES_S)
 
     def taken_since_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> bool:
         """Whether the mode is neither the one that the mission ended in nor one that was asked for last."""
@@ -145,7 +141,7 @@ class ModeMonitor:
         asked: frozenset[ActionKind],
     ) -> frozenset[str]:
         """The modes that what we requested leads to."""
-        control = frozenset({_control(kind)})
+        control = frozenset({PROFILES[kind].control_mode})
         if state in _LANDING or authority is Authority.RELEASED:
             asked = frozenset({ActionKind.LAND}) if state in _LANDING else asked
             return control | _asked_for(asked, autopilot, kind)
@@ -160,15 +156,13 @@ class ModeMonitor:
             return profile.climbs_in - ({end} if self._found != end else frozenset())
         return profile.climbs_in | control
 
-    def _still_as_found(self, mode: str, *, requested: bool, now_s: float) -> bool:
-        """Whether the autopilot has not changed the mode yet in which it was found."""
-        if mode != self._found:
-            return False
-        return self._held.held_s("requested", requested, now_s) <= TAKES_S
-
     def _awaits_setpoints(
         self, autopilot: AutopilotState, mode: str, kind: AutopilotKind, now_s: float
     ) -> bool:
         """Whether it waits for setpoints, which a silent link has kept from it: nobody chose its mode."""
         lately = now_s - self._silent_s <= _OBEYS_AGAIN_S
-        return lately and mode in WITHOUT_STICKS and short_name(autopilot.intended_mode) == _control(kind)
+        return (
+            lately
+            and mode in WITHOUT_STICKS
+            and short_name(autopilot.intended_mode) == PROFILES[kind].control_mode
+        )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -63,12 +63,7 @@ class Shapes:
     """The same obstacles as columns, (1, m) each."""
 
     def __init__(self, obstacles: Sequence[Obstacle]) -> None:
-        columns = np.array(
-            [
-                (o.north_m, o.east_m, o.half_length_m, o.half_width_m, o.heading_rad, o.round_m, o.top_down_m)
-                for o in obstacles
-            ]
-        ).reshape(-1, 7)
+        columns = np.array([astuple(obstacle) for obstacle in obstacles]).reshape(-1, 7)
         self.north, self.east, self.length, self.width, heading, self.round, self.top = columns.T[:, None, :]
         self.c, self.s = np.cos(heading), np.sin(heading)
 
