@@ -44,6 +44,7 @@ from companion.plan.mission.table import (
     StateMachine,
     impossible,
 )
+from companion.plan.shared import Shared
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
 from companion.plan.steering import PhaseSteering
 from companion.plan.trajectory.avoidance import Avoidance
@@ -93,13 +94,12 @@ class Planner:
         check_places(config, vehicle.radius_m)
         self._mission = mission = config.mission
         self._vehicle, self._pad_reach_m = vehicle, pad_reach_m
-        search = config.search
         self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
         self._say = Announcements()
         self._heard_s = -math.inf
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(config, self._machine, self._requests)
-        self._pad = PadTrack(search.sightings, KNOWN_S)
+        self._pad = PadTrack(config.search.sightings, KNOWN_S)
         self._ground, self._echoes = HeightAboveGround(vehicle.range_position_body_m), EchoCheck()
         self._standing_height = standing_height or StandingHeight(vehicle)
         avoidance = Avoidance(config, vehicle.radius_m)
@@ -108,12 +108,7 @@ class Planner:
         self._steering = PhaseSteering(
             config,
             vehicle,
-            machine=self._machine,
-            generator=self._generator,
-            pad=self._pad,
-            ground=self._ground,
-            requests=self._requests,
-            say=self._say,
+            Shared(self._machine, self._requests, self._say, self._pad, self._ground, self._generator),
             pad_half_width_m=pad_half_width_m,
             standby=standby,
             standing_height=self._standing_height,
@@ -272,7 +267,8 @@ class Planner:
         return (*self._monitor.detect(inputs, now_s, self._ground.over_home_m), *refused)
 
     def _circumstances(self, inputs: PlanInputs, now_s: float) -> Circumstances:
-        landed = inputs.autopilot.landed
+        landed, touchdown, sight = inputs.autopilot.landed, self._steering.touchdown, self._pad.sight
+        heights_m = (self._ground.clearance_m, None if sight is None else sight.height_m)
         return Circumstances(
             on_surface=self._machine.state in ON_PAD or landed is LandedState.ON_GROUND,
             airborne=landed is LandedState.IN_AIR,
@@ -282,10 +278,16 @@ class Planner:
             land_granted=self._requests.granted(ActionKind.LAND) or in_land(inputs.autopilot),
             may_finish=self._mission.battery.finish_descent,
             in_offboard=in_offboard(inputs.autopilot),
-            ends_inside=self._ends_inside(inputs),
-            feet_down=self._steering.touchdown.feet_down(now_s),
+            ends_inside=self._monitor.bounds.inside_after(
+                touchdown.way_down_s(),
+                self._pad.motion,
+                0.0 if inputs.pad is None else inputs.pad.turn_rate_rad_s,
+                inputs.vehicle,
+                inputs.autopilot,
+            ),
+            feet_down=touchdown.short_echoes.standing(now_s),
             standing=not self._not_standing(inputs, now_s),
-            near=self._near(),
+            near=any(height_m is not None and height_m < NEAR_M for height_m in heights_m),
             may_obey=self._may_obey(inputs.autopilot),
         )
 
@@ -302,7 +304,7 @@ class Planner:
     def _not_standing(self, inputs: PlanInputs, now_s: float) -> str:
         """Why a vehicle that was landing does not stand upright on the pad; "" when it does."""
         touchdown = self._steering.touchdown
-        touched = self._machine.state in ON_PAD or touchdown.feet_down(now_s)
+        touched = self._machine.state in ON_PAD or touchdown.short_echoes.standing(now_s)
         return not_standing(
             self._met,
             inputs,
@@ -311,19 +313,6 @@ class Planner:
             now_s,
             surface_m=self._ground.surface_m,
             touched=touched,
-        )
-
-    def _near(self) -> bool:
-        """Whether the autopilot's own hold would drift onto the ground or the pad."""
-        heights_m = [self._ground.clearance_m, None if self._pad.sight is None else self._pad.sight.height_m]
-        return any(height_m is not None and height_m < NEAR_M for height_m in heights_m)
-
-    def _ends_inside(self, inputs: PlanInputs) -> bool:
-        """Whether a landing that begins now ends inside the fence, wherever the pad drives."""
-        pad, turn_rate_rad_s = self._pad.motion, 0.0 if inputs.pad is None else inputs.pad.turn_rate_rad_s
-        duration_s = self._steering.touchdown.way_down_s()
-        return self._monitor.bounds.inside_after(
-            duration_s, pad, turn_rate_rad_s, inputs.vehicle, inputs.autopilot
         )
 
     def _take(self, event: MissionEvent, reason: str, inputs: PlanInputs, now_s: float) -> None:
@@ -382,7 +371,7 @@ class Planner:
         if ActionKind.HOLD_IF_OBEYED in kinds:
             self._say("hold_if_obeyed", "if the vehicle obeys setpoints: hold requested", now_s, "warning")
         if Effect.SEARCH_FROM_HERE in branch.effects:
-            self._steering.search_from_here(inputs, now_s)
+            self._steering.enter_search(State.SEARCH, inputs, now_s)
         if Effect.NO_NEW_TRY in branch.effects:
             self._say.once(Effect.NO_NEW_TRY, "battery", f"battery low: {reason}, no new try", now_s)
 

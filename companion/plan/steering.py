@@ -27,20 +27,18 @@ from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.estimate_steps import EstimateSteps
-from companion.plan.events import NOTICE_THRESHOLD_M, Announcements, DetectedEvent, MissionEvent
+from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.approach_descent import ApproachDescent
 from companion.plan.landing.contact import AWAY_M, KNOWN_S, WITHIN_HAND_M, echo_height_m
 from companion.plan.landing.contact_filter import ContactFilter
-from companion.plan.landing.height_above_ground import HeightAboveGround
-from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
+from companion.plan.landing.relative_state import misaligned_heading, vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.success import SuccessEstimate
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import REMIND_S, Departure
 from companion.plan.mission.hold import Hold
 from companion.plan.mission.readiness import ORDER_EVENTS, refusal
-from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Authority, Branch, Effect, State
 from companion.plan.mission.table import (
     BY_THE_PAD,
@@ -48,10 +46,9 @@ from companion.plan.mission.table import (
     GOING_DOWN,
     ON_PAD,
     OVER_PAD_OR_DESCENDING,
-    StateMachine,
 )
 from companion.plan.search.search import Search
-from companion.plan.trajectory.reference_generator import ReferenceGenerator
+from companion.plan.shared import Shared
 from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6  # wider limits aside in the last try: after it control is returned
@@ -102,13 +99,8 @@ class PhaseSteering:
         self,
         config: PlanConfig,
         vehicle: VehicleConfig,
+        shared: Shared,
         *,
-        machine: StateMachine,
-        generator: ReferenceGenerator,
-        pad: PadTrack,
-        ground: HeightAboveGround,
-        requests: Requests,
-        say: Announcements,
         pad_half_width_m: float,
         standby: str | None,
         standing_height: StandingHeight,
@@ -116,20 +108,13 @@ class PhaseSteering:
         self.refused: Refusal | None = None  # this cycle's order
         self._config, self._vehicle, self._standby = config, vehicle, standby
         self._pad_half_width_m, self._success = pad_half_width_m, SuccessEstimate(config.touchdown)
-        self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
-        self._requests, self._say, self.steps = requests, say, EstimateSteps()
+        self._machine, self._requests, self._say = shared.machine, shared.requests, shared.say
+        self._pad, self._ground, self._generator = shared.pad, shared.ground, shared.generator
+        self.steps, generator = EstimateSteps(), shared.generator
         self._waypoints = Waypoints(config.mission, generator)
-        self.departure = Departure(
-            config.mission,
-            pad=pad,
-            ground=ground,
-            waypoints=self._waypoints,
-            avoidance=generator.avoidance,
-            requests=requests,
-            say=say,
-        )
+        self.departure = Departure(config.mission, shared, self._waypoints)
         self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
-        self._new_approach = partial(ApproachDescent, config.landing, vehicle, generator, say)
+        self._new_approach = partial(ApproachDescent, config.landing, vehicle, generator, shared.say)
         self._approach = self._new_approach(0.0, 0.0)
         self._new_try = partial(
             TouchdownSequence,
@@ -141,14 +126,14 @@ class PhaseSteering:
             self._success,
         )
         self.touchdown = self._new_try(0.0)
-        self._hold = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
+        self._hold = Hold(config, vehicle.leg_height_m, shared)
         self._contradicted_s, self._held = -math.inf, Debounce()
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
             Phase.STANDBY: self._stand_by,
-            Phase.CONNECT: self._depart,
-            Phase.ARM: self._depart,
-            Phase.TAKE_OFF: self._depart,
-            Phase.WAYPOINT: self._depart,
+            Phase.CONNECT: self.departure.step,
+            Phase.ARM: self.departure.step,
+            Phase.TAKE_OFF: self.departure.step,
+            Phase.WAYPOINT: self.departure.step,
             Phase.ROUTE: self._fly_route,
             Phase.SEARCH: self._look_for_pad,
             Phase.APPROACH: self._come_in,
@@ -217,7 +202,7 @@ class PhaseSteering:
             now_s,
             minimum_height_m=self._approach.minimum_height_m(now_s) if above else None,
             cone=self._approach.cone if descends else None,
-            level_off=self.touchdown.level_off() if level else None,
+            level_off=self.touchdown.levelling.window() if level else None,
         )
 
     # ------------------------------------------------------------ entering a state
@@ -236,7 +221,7 @@ class PhaseSteering:
         elif state is State.ROUTE:
             self._enter_route(previous, inputs, now_s)
         elif state is State.SEARCH:
-            self._enter_search(previous, inputs, now_s)
+            self.enter_search(previous, inputs, now_s)
         elif state is State.APPROACH:
             self._enter_approach(previous, now_s)
         elif state is State.WAIT and previous is State.DESCEND:
@@ -261,7 +246,7 @@ class PhaseSteering:
         self._hold.stand_still(inputs.vehicle, now_s)
         self._waypoints.begin(with_first=previous is State.TAKE_OFF)
 
-    def _enter_search(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
+    def enter_search(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
         if inputs.vehicle is None:
             return  # ESTIMATE_LOST ends this in the next cycle
         self._hold.stand_still(inputs.vehicle, now_s)
@@ -269,10 +254,6 @@ class PhaseSteering:
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
         if climb_m > NOTICE_THRESHOLD_M and previous is not State.STANDBY:
             self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
-
-    def search_from_here(self, inputs: PlanInputs, now_s: float) -> None:
-        """Begin the search anew."""
-        self._enter_search(State.SEARCH, inputs, now_s)
 
     def _missing_m(self) -> float:
         """How far (m) below the search height; the pad's estimate may be wrong."""
@@ -283,9 +264,9 @@ class PhaseSteering:
 
     def _lowest_down_m(self) -> float:
         """Down (m, EKF's NED) of the floor while no pad is in view; inf when no height is known."""
-        floor_m = min(self._config.search.floor_m, self._config.mission.take_off_height_m)
-        down_m = self._ground.floor_down_m(floor_m)
-        return math.inf if down_m is None else down_m
+        return self._ground.floor_down_m(
+            min(self._config.search.floor_m, self._config.mission.take_off_height_m)
+        )
 
     def _enter_approach(self, previous: State, now_s: float) -> None:
         if self._pad.motion is not None:
@@ -320,9 +301,6 @@ class PhaseSteering:
         if self.refused is not None:
             return None
         return ORDER_EVENTS[inputs.order.kind], f"by {inputs.order.source}"
-
-    def _depart(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        return self.departure.step(self._machine.state, inputs, now_s)
 
     def _fly_route(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Through the waypoints that are ours; the pad in view ends it."""
@@ -361,7 +339,10 @@ class PhaseSteering:
             doing = "searching" if step.flying else "holding"
             words = f"pad not in view: {doing} ({self.search.locator.source(now_s)}), position requested"
             self._say.again("pad_lost", words, now_s, _TELL_S, "warning")
-        return (MissionEvent.PAD_SEEN, self._pad.in_words()) if step.seen else None
+        if step.seen and (sight := self._pad.sight) is not None:
+            words = f"lateral offset {sight.lateral_m:.1f} m, {sight.height_m:.1f} m below"
+            return MissionEvent.PAD_SEEN, words
+        return None
 
     def _come_in(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         wrong = self._ground_near(now_s)

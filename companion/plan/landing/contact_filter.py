@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2
@@ -14,7 +13,7 @@ from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import StepClock
 from companion.plan.inputs import LONGEST_CYCLE_S
 from companion.plan.landing.contact import FRESH_S, RESPONDS_S, WITHIN_HAND_M, echo_height_m
-from companion.plan.landing.levelling import SLOWEST_SINK
+from companion.plan.landing.levelling import NORMAL, SLOWEST_SINK
 
 # In the air the sink comes back to the one asked for within this (the vertical loop); how gusts scatter it is
 # learnt over `_LEARNS_S`, and taken for no less than 0.05 m/s in a thirtieth of a second. On springing legs
@@ -39,7 +38,6 @@ _ECHO_STD_M: Final = 0.02
 _MOST_FOOT_TILT_RAD: Final = math.radians(15.0)
 _SUREST: Final = 1.0 - 1e-6
 _TINY: Final = 1e-12
-_NORMAL: Final = NormalDist()
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,8 +213,8 @@ class ContactFilter:
         density = not_yet = 0.0
         for weight, std_m in ((1.0 - _LEGS_WRONG, self._leg_std_m), (_LEGS_WRONG, _WRONG_LEGS_M)):
             spread_m = math.hypot(std_m, feet.over_std_m) + _TINY
-            density += weight * _NORMAL.pdf(feet.over_m / spread_m) / spread_m
-            not_yet += weight * _NORMAL.cdf(feet.over_m / spread_m)
+            density += weight * NORMAL.pdf(feet.over_m / spread_m) / spread_m
+            not_yet += weight * NORMAL.cdf(feet.over_m / spread_m)
         # so far below where the feet are told to be that neither is left: as the wider one goes on (Mills)
         return density / not_yet if not_yet > _TINY else -feet.over_m / _WRONG_LEGS_M**2
 

@@ -75,11 +75,11 @@ class HeightAboveGround:
             return None
         return (*self._stood_ned_m[:2], self._down_m + self.over_home_m)
 
-    def floor_down_m(self, height_m: float) -> float | None:
-        """Down (m) of the point from which on the vehicle is `height_m` over all that is known of."""
+    def floor_down_m(self, height_m: float) -> float:
+        """Down (m) of where the vehicle is `height_m` over all that is known of; inf when nothing is."""
         clearance_m = self.clearance_m
         if clearance_m is None or self._down_m is None:
-            return None
+            return math.inf
         return self._down_m + clearance_m - height_m
 
     def _over_surface_m(self, vehicle: VehicleState, now_s: float) -> float | None:

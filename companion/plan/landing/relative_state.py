@@ -80,9 +80,3 @@ class PadTrack:
     def distrust(self) -> None:
         """What was seen proved wrong: only new sightings count."""
         self._count = 0
-
-    def in_words(self) -> str:
-        """Where it is, for a notice."""
-        if self.sight is None:
-            return "in sight"
-        return f"lateral offset {self.sight.lateral_m:.1f} m, {self.sight.height_m:.1f} m below"

@@ -11,7 +11,7 @@ from statistics import median, stdev
 from typing import Final
 
 from companion.base.geometry import norm, tilt_from_quat
-from companion.base.messages import PadState, Quantity, SourceComparison, VehicleState
+from companion.base.messages import Quantity, SourceComparison, VehicleState
 from companion.config import VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.inputs import PlanInputs
@@ -58,7 +58,8 @@ class StandingHeight:
         echo_m = echo_height_m(echo, self._vehicle, now_s)
         if echo is not None and echo_m is not None:
             self._learn("the rangefinder", echo.time_s, echo_m, still_s, now_s)
-        if sight is not None and self._stands_on(sight):
+        stands_on_m = self._vehicle.foot_reach_m
+        if sight is not None and sight.unseen_s <= UNSEEN_S and sight.lateral_m <= stands_on_m:
             self._learn("the pad", sight.seen_time_s, sight.height_m, still_s, now_s)
 
     @property
@@ -105,9 +106,6 @@ class StandingHeight:
         if agree and still_s >= _STILL_S:
             self.measured_m[source] = median(recent_m), _MEDIAN_STD * stdev(recent_m)
             self._measured_s = now_s
-
-    def _stands_on(self, sight: PadState) -> bool:
-        return sight.unseen_s <= UNSEEN_S and sight.lateral_m <= self._vehicle.foot_reach_m
 
 
 def _still(vehicle: VehicleState | None, now_s: float) -> bool:

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 
-from companion.base.messages import LandedState, LevelOff, PadState, RangeSample, VehicleState
+from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import LandingConfig, TouchdownConfig
@@ -110,8 +110,8 @@ class TouchdownSequence:
         self._gives_way, self._contact_due_s = StepClock(), now_s
         self._held = Debounce()
         self.contact = ContactFilter(config, self._leg_std_m)
-        self._short_echoes = ShortEchoes(config.contact_speed_m_s)
-        self._levelling = Levelling(config, vehicle, self._leg_std_m)
+        self.short_echoes = ShortEchoes(config.contact_speed_m_s)
+        self.levelling = Levelling(config, vehicle, self._leg_std_m)
         self._left, self._lowest_m = False, math.inf
         self.met: PadState | None = None  # the pad as the feet met it, or as it was seen since
 
@@ -126,10 +126,6 @@ class TouchdownSequence:
         """Whether nothing shows the feet on the pad since our setpoints may not have arrived."""
         unseen = sight is None or sight.unseen_s > UNSEEN_S
         return unseen and self._standing.doubted
-
-    def level_off(self) -> LevelOff | None:
-        """That the vehicle may tilt no further than it may at contact; None until the contact is near."""
-        return self._levelling.window()
 
     # ------------------------------------------------------------ wait, and rise to where it waits
 
@@ -163,7 +159,7 @@ class TouchdownSequence:
     def break_off(self, now_s: float) -> None:
         """Begin to rise, at once; waiting goes on from the reference's own state."""
         self._generator.rise(now_s)
-        self._levelling.reset()
+        self.levelling.reset()
         self._held.end()
 
     def _likely(self, sight: PadState, ahead_s: float) -> tuple[float, str]:
@@ -173,8 +169,8 @@ class TouchdownSequence:
         factors = success.factors(
             sight,
             ahead_s,
-            sink_m_s=max(self._levelling.planned_m_s, self._levelling.sink_m_s(needed_m_s2)),
-            drift=self._levelling.drift(needed_m_s2, tilt.scatter_m2_s4, success.sink_std_m_s, ahead_s),
+            sink_m_s=max(self.levelling.planned_m_s, self.levelling.sink_m_s(needed_m_s2)),
+            drift=self.levelling.drift(needed_m_s2, tilt.scatter_m2_s4, success.sink_std_m_s, ahead_s),
             slack=self.slack,
         )
         worst = min(factors, key=lambda name: factors[name])
@@ -191,7 +187,7 @@ class TouchdownSequence:
         height_m = -self._generator.at(now_s).position_m[2]
         slowest_s = self._way_s(height_m, self._config.contact_speed_m_s)
         needed_m_s2 = self._success.tilt.predicted_acceleration_m_s2(slowest_s)
-        return self._way_s(height_m, self._levelling.sink_m_s(needed_m_s2))
+        return self._way_s(height_m, self.levelling.sink_m_s(needed_m_s2))
 
     def _way_s(self, height_m: float, sink_m_s: float) -> float:
         """The way down at that speed; the blend covers half of what the speed would."""
@@ -207,7 +203,7 @@ class TouchdownSequence:
         self._held.end()
         self._lowest_m = math.inf
         self.contact = ContactFilter(c, self._leg_std_m)
-        speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(
+        speed_m_s = self.levelling.planned_m_s = self.levelling.sink_m_s(
             self._success.tilt.predicted_acceleration_m_s2(self._sinks_for_s(now_s))
         )
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
@@ -216,7 +212,7 @@ class TouchdownSequence:
 
     def sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go down at a constant speed, until the feet touch or something is wrong."""
-        seen = self._meet(sight, down=self._short_echoes.begun)
+        seen = self._meet(sight, down=self.short_echoes.begun)
         unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
         silent = unfelt_s > FRESH_S
         if sight is not None and not silent and (slides := self._slides(sight)):
@@ -246,13 +242,13 @@ class TouchdownSequence:
         feet_m = self._vehicle.leg_height_m + hangs_m + self._config.contact_margin_m
         short = echo_m is not None and echo_m <= feet_m
         within_hand = obeys and sight is not None and self._within_hand(sight, unfelt_s)
-        self._short_echoes.note(inputs.range if within_hand and short else None)
+        self.short_echoes.note(inputs.range if within_hand and short else None)
         if self.contact.contact:
             return MissionEvent.CONTACT, self.contact.in_words()
-        if blind and self.feet_down(now_s):
+        if blind and self.short_echoes.standing(now_s):
             return MissionEvent.CONTACT, "echoes that shorten no more"
         if self.contact.touching:
-            self._levelling.touching(now_s)
+            self.levelling.touching(now_s)
         if self.contact.touching or silent:
             return None  # without the IMU all else is only predicted
         if (lost := self._lost(sight, inputs.range, now_s)) is not None:
@@ -260,10 +256,6 @@ class TouchdownSequence:
         assert sight is not None
         down = feet.low(self._config.contact_margin_m) or stands_s >= self._config.overdue_s
         return self._go_down(sight, asked_m_s, now_s, down=down, stopped=stops)
-
-    def feet_down(self, now_s: float) -> bool:
-        """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
-        return self._short_echoes.standing(now_s)
 
     def _lost(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> DetectedEvent | None:
         """Whether the pad is lost: unseen for too long, or unseen and not below any more by the echoes.
@@ -281,7 +273,7 @@ class TouchdownSequence:
         believed = sight is not None and (sight.age_s <= c.blind_s or (agrees and self._within_hand(sight)))
         if believed and not gone:
             return None
-        sink_m_s = self._levelling.planned_m_s if sight is None else sight.sink_m_s
+        sink_m_s = self.levelling.planned_m_s if sight is None else sight.sink_m_s
         # an echo gives no room that the last sightings do not: no rangefinder shows less than its blind zone
         room_m = below_m if echo_m is None else echo_m if gone else min(echo_m, below_m)
         if not self._has_room(room_m, sink_m_s):
@@ -309,14 +301,14 @@ class TouchdownSequence:
         held_up = begun and sight.sink_m_s <= _HELD_UP * asked_m_s
         # A level vehicle drifts until it touches: from then on the reference goes down as planned. A vehicle
         # that the ground's cushion slows is pressed after it; one that stands is told by not following it.
-        tilts_on = not self._levelling.begun
+        tilts_on = not self.levelling.begun
         self._give_way(sight if tilts_on and not held_up else None, now_s)
-        self._levelling.expect(sight, self._success.tilt, now_s)
+        self.levelling.expect(sight, self._success.tilt, now_s)
         if high and sight.unseen_s <= UNSEEN_S and sight.height_m < self._lowest_m:
             # a gust may have held it up: while it comes lower than before, the contact is due by what is seen
             self._lowest_m = sight.height_m
-            self._contact_due_s = max(self._contact_due_s, self._levelling.due_s)
-        if tilts_on and self._levelling.begun and sight.unseen_s <= UNSEEN_S:
+            self._contact_due_s = max(self._contact_due_s, self.levelling.due_s)
+        if tilts_on and self.levelling.begun and sight.unseen_s <= UNSEEN_S:
             self._sink_firmer(now_s)
         wrong = self._wrong(sight, now_s)
         if wrong and self._has_room(sight.height_m, sight.sink_m_s):
@@ -329,9 +321,9 @@ class TouchdownSequence:
 
     def _sink_firmer(self, now_s: float) -> None:
         """Levelling off begins: by the tilt there is now, which a gust may have made since the commit."""
-        firm_m_s = self._levelling.sink_m_s(self._success.tilt.predicted_acceleration_m_s2(0.0))
-        if firm_m_s > self._levelling.planned_m_s:
-            self._levelling.planned_m_s = firm_m_s
+        firm_m_s = self.levelling.sink_m_s(self._success.tilt.predicted_acceleration_m_s2(0.0))
+        if firm_m_s > self.levelling.planned_m_s:
+            self.levelling.planned_m_s = firm_m_s
             self._generator.sink(firm_m_s, max(SINK_TAU_S, self._generator.end_s - now_s), now_s)
 
     def _escapes(self, sight: PadState) -> bool:
@@ -358,7 +350,7 @@ class TouchdownSequence:
         """Why this landing would probably be hard or off the mark; "" while it is fine."""
         likely, worst = 1.0, ""
         if sight.unseen_s <= UNSEEN_S:  # else it may not be known yet when the contact is due
-            likely, worst = self._likely(sight, max(0.0, self._levelling.due_s - now_s))
+            likely, worst = self._likely(sight, max(0.0, self.levelling.due_s - now_s))
         return worst if self._held.held_s("wrong", likely < _BREAKS_OFF, now_s) >= _WRONG_S else ""
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:
@@ -385,8 +377,8 @@ class TouchdownSequence:
         self.contact = ContactFilter(self._config, self._leg_std_m)
         self._go_straight_down(vehicle, now_s)
         self._standing = LandDetector(self._config, self._vehicle, now_s)
-        self._levelling.reset()
-        self._levelling.stay(now_s)
+        self.levelling.reset()
+        self.levelling.stay(now_s)
 
     def begin_stand(self, sight: PadState | None, now_s: float) -> None:
         """The feet are on the pad."""
@@ -406,9 +398,9 @@ class TouchdownSequence:
 
     def set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go straight down, without the pad, until something solid is below."""
-        self._meet(sight, down=self._short_echoes.begun or self.contact.touching)
+        self._meet(sight, down=self.short_echoes.begun or self.contact.touching)
         vehicle, landed, fresh = inputs.vehicle, inputs.autopilot.landed, imu_fresh(inputs.vehicle, now_s)
-        self._levelling.stay(now_s)
+        self.levelling.stay(now_s)
         if vehicle is not None:
             # A reference that the vehicle does not follow would pull it after it later: so far below two or
             # three times as fast as is planned. Without the IMU its height is a guess.
@@ -460,8 +452,8 @@ class TouchdownSequence:
             self._generator.start("pad", sight.vehicle_from_pad, now_s)
         self._generator.rise(now_s)
         self._left = True
-        self._levelling.reset()
-        self._levelling.stay(now_s)
+        self.levelling.reset()
+        self.levelling.stay(now_s)
 
     def _leaves(self, sight: PadState | None, inputs: PlanInputs, now_s: float, *, in_land: bool) -> str:
         """Why it does not stay on the pad; "" while it does."""

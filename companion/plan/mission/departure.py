@@ -11,14 +11,11 @@ from companion.base.geometry import Vector3, geodetic_from_ned, ned_from_geodeti
 from companion.base.messages import Action, ActionKind, AutopilotState, LandedState, VehicleState
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
-from companion.plan.events import Announcements, DetectedEvent, MissionEvent
+from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.height_above_ground import HeightAboveGround
-from companion.plan.landing.relative_state import PadTrack
 from companion.plan.mission.readiness import not_ready_to_arm
-from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import State
-from companion.plan.trajectory.avoidance import Avoidance
+from companion.plan.shared import Shared
 from companion.plan.trajectory.waypoints import Waypoints
 
 REMIND_S = 10.0  # of what is waited for
@@ -33,20 +30,10 @@ _SETTLED_S = 1.5
 class Departure:
     """Connect, arm, take off and go to the waypoint."""
 
-    def __init__(
-        self,
-        config: MissionConfig,
-        *,
-        pad: PadTrack,
-        ground: HeightAboveGround,
-        waypoints: Waypoints,
-        avoidance: Avoidance,
-        requests: Requests,
-        say: Announcements,
-    ) -> None:
-        self._config, self._pad, self._ground = config, pad, ground
-        self._waypoints, self._avoidance = waypoints, avoidance
-        self._requests, self._say = requests, say
+    def __init__(self, config: MissionConfig, shared: Shared, waypoints: Waypoints) -> None:
+        self._config, self._pad, self._ground = config, shared.pad, shared.ground
+        self._waypoints, self._avoidance = waypoints, shared.generator.avoidance
+        self._machine, self._requests, self._say = shared.machine, shared.requests, shared.say
         self._held = Debounce()
         self._sent_to: Vector3 | None = None  # latitude, longitude, altitude
 
@@ -63,9 +50,9 @@ class Departure:
             return replace(action, height_m=0.0 if here_m is None else here_m + action.height_m)
         return action
 
-    def step(self, state: State, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+    def step(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """What is detected in one of these states."""
-        vehicle, autopilot = inputs.vehicle, inputs.autopilot
+        state, vehicle, autopilot = self._machine.state, inputs.vehicle, inputs.autopilot
         if state is State.CONNECT:
             return self._connect(inputs, now_s)
         if state is State.ARM:

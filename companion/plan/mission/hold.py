@@ -12,10 +12,9 @@ from companion.base.geometry import Vector3, norm, subtract, yaw_from_quat
 from companion.base.messages import VehicleState
 from companion.base.motion import Motion
 from companion.config import PlanConfig
-from companion.plan.events import NOTICE_THRESHOLD_M, Announcements, DetectedEvent, MissionEvent
-from companion.plan.landing.height_above_ground import HeightAboveGround
-from companion.plan.landing.relative_state import PadTrack, vehicle_motion
-from companion.plan.trajectory.reference_generator import ReferenceGenerator
+from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent
+from companion.plan.landing.relative_state import vehicle_motion
+from companion.plan.shared import Shared
 
 # At rest (m, m/s), as far as gusts let it be: what the autopilot's hold takes over without a swing.
 _AT_REST: Final = 0.3
@@ -24,19 +23,11 @@ _AT_REST: Final = 0.3
 class Hold:
     """Steers the reference to rest; `begin` at each hold, `step` in each of its cycles."""
 
-    def __init__(
-        self,
-        config: PlanConfig,
-        leg_m: float,
-        *,
-        generator: ReferenceGenerator,
-        pad: PadTrack,
-        ground: HeightAboveGround,
-        say: Announcements,
-    ) -> None:
+    def __init__(self, config: PlanConfig, leg_m: float, shared: Shared) -> None:
         self._clear_m = leg_m + config.landing.retry_height_m
         self._ceiling_m = config.mission.ceiling_m
-        self._generator, self._pad, self._ground, self._say = generator, pad, ground, say
+        self._generator, self._pad = shared.generator, shared.pad
+        self._ground, self._say = shared.ground, shared.say
         self._held: tuple[Vector3, bool] | None = None  # the place, and whether it climbs there
 
     def stand_still(self, vehicle: VehicleState, now_s: float) -> None:

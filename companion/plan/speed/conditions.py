@@ -27,8 +27,6 @@ def constant_pace(_conditions: Conditions) -> float:
 
 
 class ConditionMonitor:
-    """Takes each cycle's estimates in."""
-
     def __init__(self) -> None:
         # complex: north + i east
         self._force_m_s2, self._gust_squared = 0j, 0.0

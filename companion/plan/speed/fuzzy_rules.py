@@ -43,7 +43,6 @@ class RuleSet(StrictModel):
     rules: dict[str, dict[str, tuple[str, ...]]]
 
     def terms(self, variable: str) -> Terms:
-        """The terms of an input or of the output."""
         terms: Terms = getattr(self, variable)
         return terms
 

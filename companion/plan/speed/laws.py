@@ -29,7 +29,6 @@ class LogPolynomial:
     """V over distance alone; beyond the fitted distances their ends hold."""
 
     def __init__(self, table: SpeedTable) -> None:
-        """Fit it to a table at rest."""
         self._low_m, self._high_m = table.distance_m[0], table.distance_m[-1]
         distances = np.linspace(self._low_m, self._high_m, FITTED_POINTS)
         speeds = [table(d, 0.0, 0.0) for d in distances.tolist()]
@@ -39,7 +38,6 @@ class LogPolynomial:
         )
 
     def __call__(self, distance_m: float, _velocity_m_s: float, _acceleration_m_s2: float) -> float:
-        """Average speed V (m/s) for a way to go."""
         length = float(np.log1p(min(max(distance_m, self._low_m), self._high_m)))
         speed = 0.0
         for coefficient in reversed(self.coefficients):

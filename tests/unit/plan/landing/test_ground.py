@@ -56,7 +56,7 @@ def test_the_height_over_home_is_the_autopilots_else_our_own_climb() -> None:
     ground = HeightAboveGround(SENSOR_M)
     ground.update(state(-5.0), SILENT, None, 0.0)
     assert ground.over_home_m is None
-    assert ground.floor_down_m(1.5) is None
+    assert ground.floor_down_m(1.5) == math.inf
     ground.stands_here(state(-2.0))
     ground.update(state(-5.0), SILENT, None, 0.0)
     assert ground.over_home_m == pytest.approx(3.0)

@@ -92,7 +92,6 @@ def test_what_is_known_of_the_pad_outlives_a_cycle_without_an_estimate() -> None
     motion = knowledge.motion
     knowledge.update(w.inputs().pad, None, 0.1)
     assert knowledge.motion == motion
-    assert knowledge.in_words().endswith("below")
 
 
 @pytest.mark.parametrize(

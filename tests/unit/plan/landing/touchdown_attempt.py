@@ -55,7 +55,7 @@ class Attempt:
         self.contact_s = math.nan
         self.now_s = -CYCLE_S  # of the last cycle
         self._seen: PadState | None = None  # in it
-        self.level_off = sequence.level_off
+        self.level_off = sequence.levelling.window
         self.reference = generator
 
     @property
@@ -64,7 +64,7 @@ class Attempt:
 
     @property
     def levels_off(self) -> bool:
-        return self._sequence._levelling.begun
+        return self._sequence.levelling.begun
 
     @property
     def on_pad(self) -> bool:
@@ -83,7 +83,7 @@ class Attempt:
         return self._sequence.met
 
     def feet_down(self, now_s: float) -> bool:
-        return self._sequence.feet_down(now_s)
+        return self._sequence.short_echoes.standing(now_s)
 
     def note_tilt(self, attitude: Quaternion, now_s: float, seen: PadState | None = None) -> None:
         self._success.tilt.note(attitude, seen, now_s)
