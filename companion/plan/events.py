@@ -86,7 +86,6 @@ class Announcements:
         self._last: dict[str, tuple[float, str]] = {}  # when, and what kind, something of this was last
 
     def __call__(self, kind: str, text: str, now_s: float, severity: NoticeSeverity = "info") -> None:
-        """Announce it."""
         self._said.append(Notice(now_s, kind, text, severity))
 
     def once(self, of: str, kind: str, text: str, now_s: float) -> None:
@@ -113,7 +112,6 @@ class Announcements:
             self(kind, text, now_s, severity)
 
     def drain(self) -> tuple[Notice, ...]:
-        """What was announced since the last time."""
         said = tuple(self._said)
         self._said.clear()
         return said

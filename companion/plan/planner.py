@@ -116,7 +116,6 @@ class Planner:
 
     @property
     def phase(self) -> Phase:
-        """The mission's phase."""
         return self._machine.phase
 
     @property
@@ -350,7 +349,6 @@ class Planner:
             self._requests.ask(self._steering.departure.with_numbers(action, inputs.autopilot), now_s)
 
     def _carry_out(self, branch: Branch, reason: str, inputs: PlanInputs, now_s: float) -> None:
-        """A branch's effects on the mission itself."""
         if Effect.COUNT_AFRESH in branch.effects:
             self._monitor.phase_begins(now_s)
         if Effect.ASK_AFRESH in branch.effects:

@@ -79,7 +79,6 @@ def enter_touchdown(
 def touch_down(
     touchdown: TouchdownSequence, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float
 ) -> DetectedEvent | None:
-    """A cycle of the touchdown in one of its states."""
     match state:
         case State.WAIT:
             return touchdown.wait(sight, now_s)

@@ -56,7 +56,6 @@ def echo_height_m(echo: RangeSample | None, vehicle: VehicleConfig, now_s: float
 
 
 def imu_fresh(vehicle: VehicleState | None, now_s: float) -> bool:
-    """Whether our IMU is heard."""
     return vehicle is not None and now_s - vehicle.sensed_time_s <= FRESH_S
 
 
@@ -80,7 +79,6 @@ class ShortEchoes:
 
     @property
     def begun(self) -> bool:
-        """Whether the row has begun."""
         return bool(self._row)
 
     def standing(self, now_s: float) -> bool:
@@ -111,7 +109,6 @@ class LandDetector:
         self.doubted = False
 
     def arrives(self, now_s: float) -> bool:
-        """Whether the contact is so recent that the feet may still slide."""
         return now_s - self._since_s <= _BOUNCES_S
 
     def off_pad(self, sight: PadState, now_s: float) -> bool:

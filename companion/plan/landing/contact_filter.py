@@ -56,11 +56,9 @@ class FeetMotion:
     asked_m_s: float
 
     def low(self, margin_m: float) -> bool:
-        """Whether the foot is down by its height."""
         return self.over_m is not None and self.over_m <= margin_m
 
     def surely_over(self, height_m: float) -> bool:
-        """Whether the foot is farther up than that."""
         return self.over_m is not None and self.over_m - SIGMA_THRESHOLD * self.over_std_m > height_m
 
 
@@ -174,16 +172,13 @@ class ContactFilter:
 
     @property
     def touching(self) -> bool:
-        """Whether it rather stands than not."""
         return self.probability >= 0.5
 
     @property
     def contact(self) -> bool:
-        """Whether it stands and its feet carry it."""
         return self.touching and self._share == 1.0 and (self._low or self._bears_s >= RESPONDS_S)
 
     def in_words(self) -> str:
-        """How sure that is."""
         return f"feet down with {100.0 * self.probability:.0f} %"
 
     def _compare(self, feet: FeetMotion, before_m_s: float, sink_m_s: float, elapsed_s: float) -> None:

@@ -34,7 +34,6 @@ class StandingHeight:
     """`update` every cycle, from the app's start on; what it has learnt outlives a mission."""
 
     def __init__(self, vehicle: VehicleConfig) -> None:
-        """Nothing is learnt yet."""
         self._vehicle = vehicle
         self._held = Debounce()
         # by their source: when the newest was measured, and the last heights in a row
@@ -70,7 +69,6 @@ class StandingHeight:
 
     @property
     def std_m(self) -> float:
-        """Of that leg height."""
         return 1.0 / math.sqrt(sum(weight for _, weight in self._weighted()))
 
     def _weighted(self) -> list[tuple[float, float]]:

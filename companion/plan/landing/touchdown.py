@@ -130,7 +130,6 @@ class TouchdownSequence:
     # ------------------------------------------------------------ wait, and rise to where it waits
 
     def wait(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
-        """Hover over the pad for a moment to land."""
         c, waited_s = self._config, now_s - self._since_s
         self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         # as in the descent: an unseen pad's predicted height sinks or rises without end, and is soon a guess
@@ -151,7 +150,6 @@ class TouchdownSequence:
         return None
 
     def rise(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
-        """Climb back to where it waits."""
         event = self.wait(sight, now_s)
         risen = event is None and not self._generator.rising(now_s)
         return (MissionEvent.RISEN, "on the way back up") if risen else event
@@ -197,7 +195,6 @@ class TouchdownSequence:
     # ------------------------------------------------------------ sink
 
     def commit(self, now_s: float) -> None:
-        """Begin to sink."""
         c = self._config
         self._gives_way.step_s(now_s)
         self._held.end()
@@ -211,7 +208,6 @@ class TouchdownSequence:
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
     def sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        """Go down at a constant speed, until the feet touch or something is wrong."""
         seen = self._meet(sight, down=self.short_echoes.begun)
         unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
         silent = unfelt_s > FRESH_S
@@ -381,7 +377,6 @@ class TouchdownSequence:
         self.levelling.stay(now_s)
 
     def begin_stand(self, sight: PadState | None, now_s: float) -> None:
-        """The feet are on the pad."""
         self._standing = LandDetector(self._config, self._vehicle, now_s, sight)
         self._stay_down(now_s)
 

@@ -51,7 +51,6 @@ class Bounds:
     def detect(
         self, vehicle: VehicleState | None, pad: PadState | None, autopilot: AutopilotState, now_s: float
     ) -> Iterator[DetectedEvent]:
-        """Bounds that are reached."""
         if vehicle is not None and (here := self._from_home(vehicle, autopilot)) is not None:
             yield from self._space(vehicle, here)
         yield from self._pad(pad, now_s)

@@ -51,7 +51,6 @@ class Departure:
         return action
 
     def step(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        """What is detected in one of these states."""
         state, vehicle, autopilot = self._machine.state, inputs.vehicle, inputs.autopilot
         if state is State.CONNECT:
             return self._connect(inputs, now_s)

@@ -52,11 +52,9 @@ class Hold:
 
     @property
     def begun(self) -> bool:
-        """Whether there is a place to hold."""
         return self._held is not None
 
     def end(self) -> None:
-        """There is nothing to hold by."""
         self._held = None
 
     def step(

@@ -59,7 +59,6 @@ def in_offboard(autopilot: AutopilotState) -> bool:
 def _asked_for(
     asked: frozenset[ActionKind], autopilot: AutopilotState, kind: AutopilotKind
 ) -> frozenset[str]:
-    """The modes that these requests lead to."""
     hold = short_name(PROFILES[kind].hold_mode)
     holds = dict.fromkeys((ActionKind.HOLD, ActionKind.HOLD_IF_OBEYED, ActionKind.LEAVE_OFFBOARD), hold)
     modes = {ActionKind.TAKE_CONTROL: PROFILES[kind].control_mode, ActionKind.LAND: _LAND, **holds}

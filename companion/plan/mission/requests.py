@@ -58,7 +58,6 @@ class Requests:
             self._pending[action.kind] = _Pending(action, due_s=now_s)
 
     def tell(self, action: Action) -> None:
-        """Send an action once, without waiting for an answer."""
         self._reports.append(action)
 
     def forget(self) -> None:
@@ -69,7 +68,6 @@ class Requests:
         self._news.clear()
 
     def granted(self, kind: ActionKind) -> bool:
-        """Whether a request of this kind was accepted since `forget`."""
         return kind in self._fates and self._fates[kind].granted
 
     def in_doubt(self, kind: ActionKind) -> bool:
@@ -81,7 +79,6 @@ class Requests:
         return fate is not None and not fate.granted and (fate.in_doubt or fate.awaited > 0)
 
     def awaited(self, kind: ActionKind) -> bool:
-        """Whether the answer to a request of this kind is still to come."""
         return kind in self._fates and self._fates[kind].awaited > 0
 
     @property
@@ -91,7 +88,6 @@ class Requests:
         return self._in_doubt_before | may_be_done | self._pending.keys()
 
     def asked(self, kind: ActionKind) -> bool:
-        """Whether a request of this kind has left since `forget`."""
         return kind in self._fates
 
     def hear(self, results: tuple[ActionResult, ...], now_s: float) -> tuple[str, ...]:
@@ -117,7 +113,6 @@ class Requests:
         return news
 
     def due(self, now_s: float) -> tuple[Action, ...]:
-        """The actions to send now."""
         ready = [p for p in self._pending.values() if p.due_s <= now_s]
         for p in ready:
             self._fates.setdefault(p.action.kind, _Fate()).awaited += 1

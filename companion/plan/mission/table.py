@@ -378,7 +378,6 @@ TABLE: Final = _table(ROWS)
 
 
 def impossible(state: State, event: MissionEvent) -> bool:
-    """Whether an event cannot arise in a state."""
     return TABLE[state, event] is IMPOSSIBLE
 
 
@@ -407,7 +406,6 @@ class StateMachine:
 
     @property
     def phase(self) -> Phase:
-        """The phase of the present state."""
         return self.state.phase
 
     @property
@@ -426,7 +424,6 @@ class StateMachine:
         return follows(self.state, event, ours)
 
     def take(self, branch: Branch) -> None:
-        """Go where a branch leads."""
         self.state = branch.to or self.state
         self.authority = branch.authority or self.authority
         if Effect.COUNT_TRY in branch.effects:

@@ -143,11 +143,9 @@ class PadLocator:
 
     @property
     def beacon_compared(self) -> bool:
-        """Whether the beacon's offset is known."""
         return self._offset_m is not None
 
     def seen_lately(self, now_s: float) -> bool:
-        """Whether the last sighting is recent enough to fly to."""
         return self._sight is not None and now_s - self._sight.time_s <= self._config.lead_s
 
     def _corrected(self, time_s: float, position: Vector3) -> Vector3:
@@ -175,7 +173,6 @@ class PadLocator:
         return newest.at(now_s, self._config.lead_s)
 
     def source(self, now_s: float) -> str:
-        """The source of the newest lead, in words."""
         if self._carried_by(now_s) is not None:
             return "by its beacon"
         newest = self._newest(now_s)

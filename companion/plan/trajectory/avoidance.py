@@ -109,7 +109,6 @@ class Avoidance:
 
     @property
     def needed(self) -> bool:
-        """Whether there are obstacles, and home is known."""
         return bool(self._obstacles) and self.home_ned_m is not None
 
     @property
@@ -213,12 +212,10 @@ class Avoidance:
 
     @property
     def situation(self) -> Situation:
-        """What the obstacles make of the path."""
         return self._flown.situation
 
     @property
     def blocked(self) -> bool:
-        """Whether there is no way that keeps clear: it brakes and holds."""
         return self.situation == "blocked"
 
     def _still_blocked(self, now_s: float) -> bool:

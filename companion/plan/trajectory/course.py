@@ -45,26 +45,21 @@ class Course:
 
     @property
     def start_s(self) -> float:
-        """When it begins."""
         return self.legs[0].start_s
 
     @property
     def end_s(self) -> float:
-        """When its final state is reached."""
         return self.legs[-1].end_s
 
     @property
     def duration_s(self) -> float:
-        """From the one to the other."""
         return self.end_s - self.start_s
 
     def at(self, time_s: float) -> Motion:
-        """State at a time; the start's before it, the final position led by the final velocity after."""
         leg = next((leg for leg in self.legs if time_s < leg.end_s), self.legs[-1])
         return leg.at(time_s)
 
     def rows(self, time_s: float, count: int, step_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Positions, velocities and accelerations, each (count, 3), at time_s + k * step_s."""
         ends_s = [leg.end_s for leg in self.legs[:-1]]
         which = np.searchsorted(ends_s, time_s + step_s * np.arange(count), side="right")
         rows = self.legs[int(which[0])].rows(time_s, count, step_s)
@@ -196,7 +191,6 @@ def _joined(motions: Sequence[Motion], start_s: float, durations_s: Sequence[flo
 
 
 def _met(target: Motion, after_s: float) -> Motion:
-    """Where the target is by then."""
     return Motion(add(target.position_m, scale(target.velocity_m_s, after_s)), target.velocity_m_s)
 
 

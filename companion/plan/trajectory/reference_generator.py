@@ -73,7 +73,6 @@ class ReferenceGenerator:
 
     @property
     def active(self) -> bool:
-        """Whether there is a reference."""
         return self._trajectory is not None
 
     def at(self, now_s: float) -> Motion:
@@ -108,7 +107,6 @@ class ReferenceGenerator:
         self.rest(motion, now_s)
 
     def rest(self, motion: Motion, now_s: float) -> None:
-        """Come to rest in the present frame from a state."""
         self._follow(self.avoidance.brake(motion, now_s), now_s)
 
     def stop(self) -> None:
