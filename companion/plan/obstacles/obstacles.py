@@ -59,9 +59,6 @@ def route(
 
 
 def line_clear(start: Vector3, goal: Vector3, obstacles: tuple[Obstacle, ...], margin_m: float) -> bool:
-    """Whether the straight line between two points keeps the margin."""
-    if not obstacles:
-        return True
     count = 2 + int(math.dist(start, goal) / _SPACING_M)
     line = np.linspace(start, goal, count)
     return bool(np.min(clearance_m(line, obstacles)) >= margin_m - _TOLERANCE_M)
@@ -112,7 +109,6 @@ def _levels(
 
 
 def _taller(obstacles: tuple[Obstacle, ...], down_m: float, margin_m: float) -> tuple[Obstacle, ...]:
-    """Those that are in the way at a height."""
     return tuple(o for o in obstacles if o.top_down_m - margin_m < down_m)
 
 
@@ -133,7 +129,6 @@ def _sloping(start: Vector3, goal: Vector3, plan: Sequence[HorizontalPoint]) -> 
 
 
 def _unbent(start: Vector3, points: Sequence[Vector3], goal: Vector3) -> tuple[Vector3, ...]:
-    """Without the points that are where the start or the goal is."""
     ends = (start, goal)
     return tuple(p for p in points if min(math.dist(p, end) for end in ends) > _SAME_HEIGHT_M)
 
@@ -145,7 +140,7 @@ def nearest_free(
 
     With a ceiling (down, m) straight up too.
     """
-    if not obstacles or _free(start, tuple(obstacles), margin_m):
+    if _free(start, tuple(obstacles), margin_m):
         return start
     grown = margin_m + _STEP_OUT_M
     places: list[Vector3] = [(n, e, start[2]) for o in obstacles for n, e in o.corners(grown)]
@@ -201,7 +196,6 @@ class _Graph:
         return np.where(clear, np.hypot(b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]), np.inf)
 
     def shortest(self, start: HorizontalPoint, goal: HorizontalPoint) -> tuple[HorizontalPoint, ...] | None:
-        """The corners to go by."""
         n, ends = len(self._corners), np.array([start, goal])
         a = np.concatenate((np.repeat(ends, n, axis=0), ends[:1]))
         lengths = self._lengths(a, np.concatenate((self._corners, self._corners, ends[1:])))

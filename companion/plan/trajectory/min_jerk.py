@@ -69,7 +69,6 @@ class Trajectory:
 
     @property
     def end_s(self) -> float:
-        """When the final state is reached."""
         return self.start_s + self.duration_s
 
     def at(self, time_s: float) -> Motion:
@@ -116,17 +115,12 @@ def plan(start: Motion, final: Motion, start_s: float, duration_s: float) -> Tra
     Raises:
         ValueError: the duration is not positive.
     """
-    p, v, a = start.position_m, start.velocity_m_s, start.acceleration_m_s2
-    q, w, b = final.position_m, final.velocity_m_s, final.acceleration_m_s2
-    return Trajectory(
-        start_s,
-        duration_s,
-        (
-            quintic((p[0], v[0], a[0]), (q[0], w[0], b[0]), duration_s),
-            quintic((p[1], v[1], a[1]), (q[1], w[1], b[1]), duration_s),
-            quintic((p[2], v[2], a[2]), (q[2], w[2], b[2]), duration_s),
-        ),
+    here, there = (
+        zip(motion.position_m, motion.velocity_m_s, motion.acceleration_m_s2, strict=True)
+        for motion in (start, final)
     )
+    x, y, z = (quintic(begin, end, duration_s) for begin, end in zip(here, there, strict=True))
+    return Trajectory(start_s, duration_s, (x, y, z))
 
 
 def brake(start: Motion, start_s: float, deceleration_m_s2: float) -> Trajectory:
