@@ -25,7 +25,7 @@ from companion.base.messages import (
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.events import Announcements, DetectedEvent, MissionEvent, NoticeSeverity
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.contact import KNOWN_S, not_standing, unshown
+from companion.plan.landing.contact import not_standing, unshown
 from companion.plan.landing.height_above_ground import EchoCheck, HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack
 from companion.plan.landing.standing_height import StandingHeight
@@ -99,7 +99,7 @@ class Planner:
         self._heard_s = -math.inf
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(config, self._machine, self._requests)
-        self._pad = PadTrack(config.search.sightings, KNOWN_S)
+        self._pad = PadTrack(config.search.sightings)
         self._ground, self._echoes = HeightAboveGround(vehicle.range_position_body_m), EchoCheck()
         self._standing_height = standing_height or StandingHeight(vehicle)
         avoidance = Avoidance(config, vehicle.radius_m)

@@ -111,7 +111,7 @@ class PhaseSteering:
         self._pad, self._ground, self._generator = shared.pad, shared.ground, shared.generator
         self.steps, generator = EstimateSteps(), shared.generator
         self._waypoints = Waypoints(config.mission, generator)
-        self.departure = Departure(config.mission, shared, self._waypoints)
+        self.departure = Departure(config.mission, shared)
         self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
         self._new_approach = partial(ApproachDescent, config.landing, vehicle, generator, shared.say)
         self._approach = self._new_approach(0.0, 0.0)

@@ -31,10 +31,7 @@ _FLOOR_M = 0.15  # over where it would stand: a pad that heaves does not reach t
 
 
 class ApproachDescent:
-    """One approach and its descent.
-
-    While the pad is unseen the vehicle goes by its likely place, and a floor, `lowest_down_m`; EKF's NED.
-    """
+    """One approach and its descent; `lowest_down_m` is a floor (EKF's NED) while the pad is unseen."""
 
     def __init__(
         self,

@@ -58,8 +58,10 @@ class FeetMotion:
     def low(self, margin_m: float) -> bool:
         return self.over_m is not None and self.over_m <= margin_m
 
-    def surely_over(self, height_m: float) -> bool:
-        return self.over_m is not None and self.over_m - SIGMA_THRESHOLD * self.over_std_m > height_m
+    @property
+    def surely_high(self) -> bool:
+        """Higher than legs are wrong."""
+        return self.over_m is not None and self.over_m - SIGMA_THRESHOLD * self.over_std_m > WITHIN_HAND_M
 
 
 def feet_motion(
@@ -149,7 +151,7 @@ class ContactFilter:
                 self._compare(feet, before_m_s, feet.sink_m_s, felt_for_s)
         elif now_s - self._felt_s > FRESH_S:
             self._sink_m_s, self.probability = None, 0.0
-        if feet.surely_over(WITHIN_HAND_M):
+        if feet.surely_high:
             self.probability = 0.0
         elif landed and feet.low(self._config.contact_margin_m):
             self.probability = _SUREST

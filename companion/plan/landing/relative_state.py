@@ -40,13 +40,12 @@ class PadTrack:
     `sight` is the pad's estimate, seen or predicted, and None before the first sighting and `forget_s` (10 s)
     after the last. Whether the pad is seen says `sight.unseen_s`.
 
-    It is seen steadily after so many sightings, none longer than a gap after the one before. They are
+    It is seen steadily after so many sightings, none longer than `KNOWN_S` after the one before. They are
     counted, whatever time they take: a slow computer sees the pad in every frame of fewer.
     """
 
-    def __init__(self, sightings: int, gap_s: float) -> None:
-        self._needed, self._gap_s = sightings, gap_s
-        self._count = 0
+    def __init__(self, sightings: int) -> None:
+        self._needed, self._count = sightings, 0
         self.sight: PadState | None = None
         self._last: PadState | None = None  # the same, kept while there is no estimate
         self.motion: Motion | None = None
@@ -66,7 +65,7 @@ class PadTrack:
         before = self._last
         if before is not None and seen_s <= before.seen_time_s:
             return before.delay_s
-        follows = before is not None and seen_s - before.seen_time_s <= self._gap_s
+        follows = before is not None and seen_s - before.seen_time_s <= KNOWN_S
         self._count = self._count + 1 if follows else 1
         # how long ago the first one came is not known; one that comes later than a pad is known for is old
         return 0.0 if before is None else min(max(0.0, now_s - seen_s), KNOWN_S - UNSEEN_S)
@@ -75,7 +74,7 @@ class PadTrack:
         """Whether the pad is in view, not just for a frame."""
         if self._last is None or self.motion is None:
             return False
-        return self._count >= self._needed and now_s - self._last.seen_time_s <= self._gap_s
+        return self._count >= self._needed and now_s - self._last.seen_time_s <= KNOWN_S
 
     def distrust(self) -> None:
         """What was seen proved wrong: only new sightings count."""

@@ -474,4 +474,4 @@ def _stopped(feet: FeetMotion, vehicle: VehicleState | None) -> bool:
     """
     sink_m_s = feet.sink_m_s if vehicle is None else vehicle.velocity_ned_m_s[2]
     slow = sink_m_s is not None and abs(sink_m_s) <= SLOWEST_SINK * feet.asked_m_s
-    return slow and not feet.surely_over(WITHIN_HAND_M)
+    return slow and not feet.surely_high

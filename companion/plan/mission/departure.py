@@ -16,7 +16,7 @@ from companion.plan.inputs import PlanInputs
 from companion.plan.mission.readiness import not_ready_to_arm
 from companion.plan.mission.states import State
 from companion.plan.shared import Shared
-from companion.plan.trajectory.waypoints import Waypoints
+from companion.plan.trajectory.waypoints import places_from_home
 
 REMIND_S = 10.0  # of what is waited for
 # The autopilots end a take-off somewhat below its height: up is within this of it, or settled for a while at
@@ -30,9 +30,9 @@ _SETTLED_S = 1.5
 class Departure:
     """Connect, arm, take off and go to the waypoint."""
 
-    def __init__(self, config: MissionConfig, shared: Shared, waypoints: Waypoints) -> None:
+    def __init__(self, config: MissionConfig, shared: Shared) -> None:
         self._config, self._pad, self._ground = config, shared.pad, shared.ground
-        self._waypoints, self._avoidance = waypoints, shared.generator.avoidance
+        self._avoidance = shared.generator.avoidance
         self._machine, self._requests, self._say = shared.machine, shared.requests, shared.say
         self._held = Debounce()
         self._sent_to: Vector3 | None = None  # latitude, longitude, altitude
@@ -100,7 +100,7 @@ class Departure:
                 MissionEvent.HOME_UNKNOWN,
                 "no estimate at take-off: position of the obstacles unknown",
             )
-        if not self._avoidance.straight_clear(vehicle.position_ned_m, self._waypoints.first_from_home_m):
+        if not self._avoidance.straight_clear(vehicle.position_ned_m, places_from_home(self._config)[0]):
             return MissionEvent.BLOCKED, "obstacles on the straight path to the waypoint: flying round them"
         return MissionEvent.AIRBORNE, f"{height_m:.1f} m up"
 

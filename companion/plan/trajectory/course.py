@@ -82,14 +82,8 @@ def through(
 ) -> Course:
     """The minimum-jerk course from a state through points to a state, all in one frame.
 
-    Args:
-        start, final: position, velocity and acceleration at both ends.
-        via: the points between.
-        start_s: when it begins.
-        durations_s: of each leg, one more than there are points.
-
     Raises:
-        ValueError: a duration is not positive, or there are not as many as legs.
+        ValueError: a duration is not positive, or there are not as many as legs, one more than points.
     """
     if len(durations_s) != len(via) + 1 or not min(durations_s) > 0.0:
         raise ValueError(f"{len(via)} points need {len(via) + 1} durations above 0, found {durations_s}")

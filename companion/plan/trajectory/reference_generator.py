@@ -92,11 +92,7 @@ class ReferenceGenerator:
         return math.inf if self._trajectory is None else self._trajectory.end_s
 
     def resting_place_m(self) -> Vector3:
-        """Where the reference ends.
-
-        Raises:
-            RuntimeError: there is no reference.
-        """
+        """Where the reference ends, if there is one."""
         ends_s = [t.end_s for t in (self._trajectory, self._level) if t is not None]
         return self.at(max(ends_s, default=math.inf)).position_m
 

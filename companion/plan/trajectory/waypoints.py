@@ -23,7 +23,7 @@ def check_places(config: PlanConfig, vehicle_radius_m: float) -> None:
         ConfigError: the take-off touches an obstacle, or a waypoint is nearer to one than the margin.
     """
     mission, margin_m = config.mission, config.obstacle_margin_m + vehicle_radius_m
-    places = _places(mission)
+    places = places_from_home(mission)
     names = ["waypoint_ned_m", *(f"waypoints_ned_m.{k}" for k in range(len(places) - 1))]
     for index, shape in enumerate(config.obstacles):
         away_m = clearance_m(np.array([(0.0, 0.0, 0.0), *places]), [Obstacle.of(shape)])
@@ -40,7 +40,7 @@ def check_places(config: PlanConfig, vehicle_radius_m: float) -> None:
                 )
 
 
-def _places(mission: MissionConfig) -> list[Vector3]:
+def places_from_home(mission: MissionConfig) -> list[Vector3]:
     """All waypoints, NED from home."""
     places: list[Vector3] = []
     for north, east, *height in (mission.waypoint_ned_m, *mission.waypoints_ned_m):
@@ -53,13 +53,8 @@ class Waypoints:
 
     def __init__(self, config: MissionConfig, generator: ReferenceGenerator) -> None:
         self._config, self._generator = config, generator
-        self._places = _places(config)
+        self._places = places_from_home(config)
         self._left: list[Vector3] = []
-
-    @property
-    def first_from_home_m(self) -> Vector3:
-        """The waypoint to which the autopilot would fly, NED from home."""
-        return self._places[0]
 
     def begin(self, *, with_first: bool) -> None:
         """Start over; `with_first` when the autopilot has not flown to the first."""

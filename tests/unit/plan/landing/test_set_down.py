@@ -67,7 +67,7 @@ def test_with_a_rival_low_over_the_pad_nothing_rises_in_the_mode_that_obeys_it()
 
 
 def test_a_pad_whose_sightings_come_late_is_not_fresh() -> None:
-    pad = PadTrack(5, 0.5)
+    pad = PadTrack(5)
     for k in range(10):
         now_s = 50.0 + k * CYCLE_S
         late = replace(sight(), time_s=now_s, seen_time_s=now_s - 0.9)
@@ -89,7 +89,7 @@ def test_what_a_set_down_took_for_contact_high_over_the_pad_is_no_rest() -> None
 
 
 def test_a_cycle_without_an_estimate_makes_no_old_sighting_new() -> None:
-    pad, now_s = PadTrack(5, 0.5), 50.0
+    pad, now_s = PadTrack(5), 50.0
     for k in range(10):
         now_s = 50.0 + k * CYCLE_S
         pad.update(replace(sight(), time_s=now_s, seen_time_s=now_s - 0.15), vehicle_state(now_s), now_s)

@@ -41,7 +41,7 @@ def test_the_pad_in_our_frame_is_where_it_truly_is() -> None:
     w = PlanWorld(still(10.6, 0.8))
     w.position = (9.0, 1.0, -6.0)
     w._sense()
-    track = PadTrack(1, 0.5)
+    track = PadTrack(1)
     track.update(w.inputs().pad, w.inputs().vehicle, 0.0)
     assert track.motion is not None
     truth = [p - o for p, o in zip((10.6, 0.8, -0.3), ORIGIN_NED_M, strict=True)]
@@ -50,7 +50,7 @@ def test_the_pad_in_our_frame_is_where_it_truly_is() -> None:
 
 @pytest.mark.parametrize("period_s", [0.033, 0.25])
 def test_steady_means_so_many_sightings_without_a_gap_whatever_time_they_take(period_s: float) -> None:
-    s, vehicle = PadTrack(3, 0.5), vehicle_state(0.0)
+    s, vehicle = PadTrack(3), vehicle_state(0.0)
     times = [1.0 + k * period_s for k in range(3)]
     for t in times[:2]:
         s.update(pad(t, t), vehicle, t + 0.1)
@@ -70,7 +70,7 @@ def test_steady_means_so_many_sightings_without_a_gap_whatever_time_they_take(pe
 
 
 def test_how_long_unseen_does_not_count_what_a_slow_vision_takes() -> None:
-    knowledge = PadTrack(1, 0.5)
+    knowledge = PadTrack(1)
     knowledge.update(pad(1.0, 0.7), None, 1.0)
     assert knowledge.sight is not None
     assert knowledge.sight.unseen_s == pytest.approx(0.3)  # it may have come long before
@@ -85,7 +85,7 @@ def test_what_is_known_of_the_pad_outlives_a_cycle_without_an_estimate() -> None
     w = PlanWorld(still())
     w.position = (10.0, 1.0, -6.0)
     w._sense()
-    knowledge = PadTrack(1, 0.5)
+    knowledge = PadTrack(1)
     assert not knowledge.steady(0.0)
     knowledge.update(w.inputs().pad, w.inputs().vehicle, 0.0)
     assert knowledge.steady(0.0)

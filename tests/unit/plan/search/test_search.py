@@ -19,7 +19,7 @@ from tests.unit.plan.plan_harness import PlanWorld
 
 ORIGIN = (47.0, 8.0, 400.0)
 CONFIG = SearchConfig()
-UNSEEN = PadTrack(1, 0.5)
+UNSEEN = PadTrack(1)
 
 
 def beacon(time_s: float, north: float, east: float, velocity: tuple[float, float, float]) -> PadBeacon:
@@ -39,7 +39,7 @@ def in_view(
     w._sense()
     given = w.inputs()
     assert given.pad is not None
-    known = PadTrack(1, 0.5)
+    known = PadTrack(1)
     known.update(replace(given.pad, velocity_std_m_s=velocity_std_m_s), given.vehicle, now_s)
     return known
 
