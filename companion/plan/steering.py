@@ -284,7 +284,7 @@ class PhaseSteering:
             self._generator.stop()
             return
         low = self._machine.phase is Phase.HOLD and previous in BY_THE_PAD
-        if not (low and self.touchdown.leaving(now_s)):  # it leaves the pad first, level; `_stay` begins it
+        if not (low and self.touchdown.leaving(now_s)):  # it leaves the pad first, level, and begins then
             self._hold.begin(inputs.vehicle, now_s, over_pad=low)
 
     # ------------------------------------------------------------ the phases
@@ -386,8 +386,6 @@ class PhaseSteering:
         if self.touchdown.leaving(now_s):
             self.touchdown.leave(inputs, self._pad.sight, now_s)
             return None
-        if not self._hold.begun and self._generator.active and inputs.vehicle is not None:
-            self._hold.begin(inputs.vehicle, now_s, over_pad=True)
         at_rest = self._hold.step(inputs.vehicle, self.steps.step_m, now_s)
         self._end(inputs, now_s)
         # what has been released already, or waits for the link, ends otherwise

@@ -40,19 +40,16 @@ class Hold:
             self._generator.change_frame("local", self._pad.motion, now_s)
         self._generator.rest(self._generator.at(now_s), now_s)
 
-    def begin(self, vehicle: VehicleState, now_s: float, *, over_pad: bool) -> None:
-        """Come to rest; `over_pad`: it may be just over the pad, and goes up first."""
+    def begin(self, vehicle: VehicleState, now_s: float, *, over_pad: bool) -> tuple[Vector3, bool]:
+        """Come to rest, from just `over_pad` by a climb first; returns where, and whether it climbs."""
         climb_m = self._climb_m() if over_pad else 0.0
         self.stand_still(vehicle, now_s)
         x, y, z = self._generator.resting_place_m()
         climbs = climb_m > NOTICE_THRESHOLD_M
-        self._held = (x, y, z - climb_m if climbs else z), climbs
+        self._held = held = (x, y, z - climb_m if climbs else z), climbs
         if climbs:
             self._say("climb", f"climbing {climb_m:.1f} m clear of the pad", now_s, "warning")
-
-    @property
-    def begun(self) -> bool:
-        return self._held is not None
+        return held
 
     def end(self) -> None:
         self._held = None
@@ -61,9 +58,11 @@ class Hold:
         self, vehicle: VehicleState | None, step_m: Vector3 | None, now_s: float
     ) -> DetectedEvent | None:
         """Go on; detects that the vehicle is at rest where it holds. `step_m`: of the EKF's position."""
-        if self._held is None or vehicle is None or not self._generator.active:
+        if vehicle is None or not self._generator.active:
             return None
-        actual, (place, climbs) = vehicle_motion(vehicle), self._held
+        # what has not begun yet has left the pad first
+        place, climbs = self._held or self.begin(vehicle, now_s, over_pad=True)
+        actual = vehicle_motion(vehicle)
         if step_m is not None and self._generator.keep_near(actual, now_s) > 0.0:
             # at rest from here, as high as was meant
             x, y, z = self._generator.resting_place_m()
