@@ -54,7 +54,6 @@ from companion.control.tracker import make_tracker
 from companion.control.tracking import Target, TrackingSolution, needed_inputs
 
 HEARD: Final = LinkHealth()
-PAD_ACCELERATION_DECAY_S: Final = 1.0  # a pad's measured acceleration is believed to fade so fast
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5
@@ -333,7 +332,7 @@ class Controller:
             from_s, prediction = vehicle.time_s, origin_at_rest(len(times_s))
             motion = Motion(vehicle.position_ned_m, vehicle.velocity_ned_m_s, acceleration)
         else:
-            from_s, prediction = pad.time_s, predict_pad(pad, times_s, PAD_ACCELERATION_DECAY_S)
+            from_s, prediction = pad.time_s, predict_pad(pad, times_s)
             # the frame begins where the pad was estimated: the vehicle is at minus its relative position
             velocity = subtract(pad.velocity_ned_m_s, pad.relative_velocity_ned_m_s)
             motion = Motion(scale(pad.relative_position_ned_m, -1.0), velocity, acceleration)

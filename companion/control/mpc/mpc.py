@@ -34,11 +34,13 @@ from companion.control.mpc.input_bounds import (
     side_left_m_s2,
 )
 from companion.control.mpc.qp import (
-    QpLayout,
+    ROWS,
+    VARIABLES,
     QuadraticProgram,
     axis_costs,
     constraint_matrix,
     cost_matrix,
+    places,
     step_matrices,
 )
 from companion.control.solver_health import UNFINISHED, outcome
@@ -104,8 +106,8 @@ class Mpc:
         self._lags_s = lags_s
         self._period_s = 1.0 / config.rate_hz
         self._costs = axis_costs(config, lags_s)
-        self._layout = QpLayout(self._N)
-        self._rows = self._layout.rows()
+        self._at, self._rows = places(VARIABLES, self._N), places(ROWS, self._N)
+        self._variables = self._N * sum(VARIABLES.values())
         self._A, self._B = step_matrices(self._dt, lags_s)
         self._q_state = np.array([np.diag(c.Q)[i] for i in range(3) for c in self._costs])
         self._R = np.array([c.R for c in self._costs])
@@ -117,7 +119,7 @@ class Mpc:
 
     def reset(self) -> None:
         """Forget the last solution."""
-        self._last = np.zeros(self._layout.variables)
+        self._last = np.zeros(self._variables)
         self._last_apex: FloatArray | None = None  # of the cone (N, 3), when it was solved
         self._short = "", math.inf
         self._cold = True
@@ -186,7 +188,7 @@ class Mpc:
 
     def _set_up(self, iterations: int) -> osqp.OSQP:
         P = cost_matrix(self._costs, self._N)
-        self._q = np.zeros(self._layout.variables)
+        self._q = np.zeros(self._variables)
         self._constraints = constraint_matrix(self._A, self._B, self._N, inputs=self._input_rows)
         self._free_optimum = FreeOptimum(P, self._constraints[self._rows["dynamics"]])
         solver = osqp.OSQP()
@@ -204,12 +206,12 @@ class Mpc:
     # ------------------------------------------------------------ each step
 
     def _linear_cost(self, target: Target, needed: FloatArray, last_input: FloatArray) -> FloatArray:
-        q = np.zeros(self._layout.variables)
+        q = np.zeros(self._variables)
         rows = (target.position_m, target.velocity_m_s, target.acceleration_m_s2)
         reference = np.concatenate(rows, axis=1)
-        states = q[self._layout.states].reshape(self._N, 9)
+        states = q[self._at["states"]].reshape(self._N, 9)
         states[:-1] = -self._q_state * reference[1:-1]
-        inputs = q[self._layout.inputs].reshape(self._N, 3)
+        inputs = q[self._at["inputs"]].reshape(self._N, 3)
         # the change that the reference itself needs is free
         change = needed[1:] - needed[:-1]
         first = last_input + change[0] * (self._period_s / self._dt)
@@ -298,7 +300,7 @@ class Mpc:
         aside = np.hypot(now[0], now[1])
         ahead = np.full(self._N, aside)
         if self._last_apex is not None:
-            states = self._last[self._layout.states].reshape(self._N, 9)
+            states = self._last[self._at["states"]].reshape(self._N, 9)
             ahead = np.hypot(*(states[:, :2] - self._last_apex[:, :2]).T)
         self._last_apex = apex
         radius = max(cone.radius_m, aside + cone.slope * now[2])
@@ -333,8 +335,8 @@ class Mpc:
 
     def _answer(self, outcome: SolveOutcome, iterations: int = 0, *, late: bool = False) -> TrackingSolution:
         """The last solution, or what takes its place and becomes it."""
-        inputs = self._last[self._layout.inputs].reshape(self._N, 3)
-        states = self._last[self._layout.states].reshape(self._N, 9)
+        inputs = self._last[self._at["inputs"]].reshape(self._N, 3)
+        states = self._last[self._at["states"]].reshape(self._N, 9)
         if outcome is SolveOutcome.CUT:
             self._cut(inputs, states)
         elif outcome is SolveOutcome.KEPT:
@@ -348,7 +350,7 @@ class Mpc:
         """The optimum without constraints, its inputs cut to their bounds, sideways first."""
         rows, N = self._rows, self._N
         dynamics = self._l[rows["dynamics"]]
-        best = self._free_optimum.solve(self._q, dynamics)[0][self._layout.inputs].reshape(N, 3)
+        best = self._free_optimum.solve(self._q, dynamics)[0][self._at["inputs"]].reshape(N, 3)
         bounds = zip(
             *(edge[rows["input"]].reshape(N, INPUT_ROWS) for edge in (self._l, self._u)), strict=True
         )

@@ -9,6 +9,7 @@ Rows, in this order: dynamics (9N, equalities), inputs (`input_bounds`: 17N), in
 it starts and the bounds of the inputs, plus the disturbance.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,15 +24,9 @@ from companion.control.response.flight_model import discretise
 
 VELOCITY_SLACK_WEIGHT = 400.0  # 1 / (0.05 m/s)^2
 FLOOR_SLACK_WEIGHT = 4000.0  # 1 / (1.6 cm)^2
-# rows of one step, in their order
-ROWS: Final = (
-    ("dynamics", 9),
-    ("input", INPUT_ROWS),
-    ("change", 3),
-    ("speed", 4),
-    ("vertical_speed", 1),
-    ("floor", 1),
-)
+# variables and rows of one step, in their order
+VARIABLES: Final = {"states": 9, "inputs": 3, "velocity_slacks": 3, "floor_slacks": 1}
+ROWS: Final = {"dynamics": 9, "input": INPUT_ROWS, "change": 3, "speed": 4, "vertical_speed": 1, "floor": 1}
 
 
 @dataclass(frozen=True)
@@ -56,39 +51,13 @@ class QuadraticProgram:
     upper: FloatArray
 
 
-@dataclass(frozen=True)
-class QpLayout:
-    """Where things are among the variables and rows, for N steps."""
-
-    steps: int
-
-    @property
-    def states(self) -> slice:
-        return slice(0, 9 * self.steps)
-
-    @property
-    def inputs(self) -> slice:
-        return slice(9 * self.steps, 12 * self.steps)
-
-    @property
-    def velocity_slacks(self) -> slice:
-        return slice(12 * self.steps, 15 * self.steps)
-
-    @property
-    def floor_slacks(self) -> slice:
-        return slice(15 * self.steps, 16 * self.steps)
-
-    @property
-    def variables(self) -> int:
-        return 16 * self.steps
-
-    def rows(self) -> dict[str, slice]:
-        """Slices of the constraint rows by name."""
-        slices, start = {}, 0
-        for name, each in ROWS:
-            slices[name] = slice(start, start + each * self.steps)
-            start += each * self.steps
-        return slices
+def places(each_step: Mapping[str, int], steps: int) -> dict[str, slice]:
+    """Where each kind of variable, or of row, stands by its name: all of one kind together."""
+    slices, start = {}, 0
+    for name, each in each_step.items():
+        slices[name] = slice(start, start + each * steps)
+        start += each * steps
+    return slices
 
 
 def axis_cost(weights: TrackingConfig, step_s: float, tau_s: float) -> AxisCost:
@@ -125,12 +94,12 @@ def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> spars
 
     The terminal cost covers the last change's memory: it is on x_N and u_{N-1} and replaces no stage's.
     """
-    layout = QpLayout(steps)
-    P = np.zeros((layout.variables, layout.variables))
+    at, count = places(VARIABLES, steps), steps * sum(VARIABLES.values())
+    P = np.zeros((count, count))
     for axis, cost in enumerate(costs):
         for k in range(steps):
             x = [9 * k + axis, 9 * k + 3 + axis, 9 * k + 6 + axis]
-            u = layout.inputs.start + 3 * k + axis
+            u = at["inputs"].start + 3 * k + axis
             P[u, u] += cost.R + cost.S
             if k + 1 < steps:
                 P[np.ix_(x, x)] += cost.Q
@@ -140,8 +109,8 @@ def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> spars
                 last = [*x, u]
                 P[np.ix_(last, last)] += cost.terminal
     for slacks, weight in (
-        (layout.velocity_slacks, VELOCITY_SLACK_WEIGHT),
-        (layout.floor_slacks, FLOOR_SLACK_WEIGHT),
+        (at["velocity_slacks"], VELOCITY_SLACK_WEIGHT),
+        (at["floor_slacks"], FLOOR_SLACK_WEIGHT),
     ):
         for i in range(slacks.start, slacks.stop):
             P[i, i] = weight

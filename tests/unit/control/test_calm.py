@@ -147,7 +147,7 @@ def _pad(velocity: Vector3, acceleration: Vector3, time_s: float = 0.0) -> PadSt
 @pytest.mark.parametrize("at_s", [0.0, 3.7, 11.0])
 def test_follows_a_pad_that_stands_goes_straight_or_turns(motion: PadMotion, at_s: float) -> None:
     place, velocity, acceleration = motion(at_s)
-    path = predict_pad(_pad(velocity, acceleration, at_s), at_s + TIMES_S, 1.0)
+    path = predict_pad(_pad(velocity, acceleration, at_s), at_s + TIMES_S)
     truth = [motion(at_s + t) for t in TIMES_S]
     np.testing.assert_allclose(path.displacement_m, np.array([m[0] for m in truth]) - place, atol=1e-9)
     np.testing.assert_allclose(path.velocity_m_s, np.array([m[1] for m in truth]), atol=1e-9)
@@ -168,10 +168,10 @@ def test_a_bend_that_begins_is_carried_on_by_the_jerk_and_a_halt_is_not_driven_o
         replace(_pad((2.0, 0.0, 0.0), ZERO3), jerk_ned_m_s3=(0.0, 0.8, 0.0)),
     )
     soon = np.array([0.2])
-    assert predict_pad(plain, soon, 1.0).acceleration_m_s2[0] == pytest.approx(ZERO3)
-    assert predict_pad(bending, soon, 1.0).acceleration_m_s2[0] == pytest.approx((0.0, 0.145, 0.0), abs=1e-3)
+    assert predict_pad(plain, soon).acceleration_m_s2[0] == pytest.approx(ZERO3)
+    assert predict_pad(bending, soon).acceleration_m_s2[0] == pytest.approx((0.0, 0.145, 0.0), abs=1e-3)
     braking = replace(_pad((0.5, 0.0, 0.0), (-2.0, 0.0, 0.0)), jerk_ned_m_s3=(-3.0, 0.0, 0.0))
-    assert predict_pad(braking, TIMES_S, 1.0).velocity_m_s[-1] == pytest.approx(ZERO3)
+    assert predict_pad(braking, TIMES_S).velocity_m_s[-1] == pytest.approx(ZERO3)
 
 
 def test_turn_rate_needs_speed_and_a_sensible_value() -> None:
@@ -186,7 +186,7 @@ def test_rows_are_consistent_derivatives_and_unturned_acceleration_dies_away(
     velocity: Vector3, jerk: Vector3
 ) -> None:
     fine = np.linspace(0.0, 2.0, 2001)
-    path = predict_pad(replace(_pad(velocity, (0.3, 0.4, -0.5)), jerk_ned_m_s3=jerk), fine, 1.0)
+    path = predict_pad(replace(_pad(velocity, (0.3, 0.4, -0.5)), jerk_ned_m_s3=jerk), fine)
     dt = fine[1]
     np.testing.assert_allclose(
         np.gradient(path.displacement_m, dt, axis=0)[1:-1], path.velocity_m_s[1:-1], atol=1e-5
@@ -206,7 +206,7 @@ def test_an_origin_at_rest_stays() -> None:
 
 def test_a_pad_that_brakes_halts_and_does_not_drive_backwards() -> None:
     fine = np.linspace(0.0, 2.0, 401)
-    path = predict_pad(_pad((1.0, 0.0, 0.0), (-3.0, 0.0, 0.0)), fine, 1.0)
+    path = predict_pad(_pad((1.0, 0.0, 0.0), (-3.0, 0.0, 0.0)), fine)
     assert path.velocity_m_s[:, 0].min() >= 0.0
     assert path.velocity_m_s[-1, 0] == path.acceleration_m_s2[-1, 0] == 0.0
     # 1 - 3 (1 - exp(-t)) = 0 at t = ln 1.5; there 1 t - 3 (t - 1 / 3) = 1 - 2 ln 1.5
@@ -223,7 +223,7 @@ def test_the_speed_along_the_course_never_turns_round_and_the_rows_stay_derivati
     velocity = rotate_yaw((speed_m_s, 0.0, 0.0), yaw)
     braking = rotate_yaw((-3.0, across_m_s2, 0.0), yaw)
     fine = np.linspace(0.0, 2.0, 4001)
-    path = predict_pad(_pad(velocity, braking), fine, 1.0)
+    path = predict_pad(_pad(velocity, braking), fine)
     # along the course at the time: in a turn the course turns with the pad
     omega = turn_rate(velocity, braking) or 0.0
     along = [
@@ -239,5 +239,5 @@ def test_the_speed_along_the_course_never_turns_round_and_the_rows_stay_derivati
 
 
 def test_a_pad_that_gently_slows_down_as_before_never_halts() -> None:
-    path = predict_pad(_pad((1.5, 0.0, 0.0), (-0.5, 0.0, 0.0)), TIMES_S, 1.0)
+    path = predict_pad(_pad((1.5, 0.0, 0.0), (-0.5, 0.0, 0.0)), TIMES_S)
     np.testing.assert_allclose(path.velocity_m_s[:, 0], 1.5 - 0.5 * (1.0 - np.exp(-TIMES_S)))

@@ -18,7 +18,8 @@ from companion.control.limits import LimitsGate
 from companion.control.mpc.input_bounds import LEAST_ROOM, input_bounds, input_rows, shrunk, side_left_m_s2
 from companion.control.mpc.mpc import Mpc
 from companion.control.mpc.qp import (
-    QpLayout,
+    ROWS,
+    VARIABLES,
     axis_cost,
     axis_costs,
     constraint_matrix,
@@ -209,11 +210,11 @@ def test_terminal_cost_is_the_riccati_fixed_point() -> None:
 
 
 def test_matrices_have_the_documented_shape_and_a_convex_cost() -> None:
-    layout = QpLayout(N)
+    variables = N * sum(VARIABLES.values())
     P = cost_matrix(axis_costs(CONFIG, LAGS_S), N)
-    assert P.shape == (layout.variables, layout.variables)
+    assert P.shape == (variables, variables)
     rows = constraint_matrix(*step_matrices(DT, LAGS_S), N, inputs=input_rows(CONFIG.limits))
-    assert rows.shape == (layout.rows()["floor"].stop, layout.variables)
+    assert rows.shape == (N * sum(ROWS.values()), variables)
     full = P.toarray()
     full = full + np.triu(full, 1).T
     assert np.linalg.eigvalsh(full).min() > -1e-9
@@ -227,7 +228,7 @@ def test_an_answer_that_is_none_is_not_flown(
     mpc, start, target = Mpc(CONFIG, LAGS_S), Motion((1.0, 0.0, -2.0), ZERO3, ZERO3), hover_at(ZERO3)
     good = mpc.solve(start, target, ZERO3, ZERO3)
     info = SimpleNamespace(status_val=status, iter=7, prim_res=0.0, dual_res=0.0)
-    answer = SimpleNamespace(x=np.full(QpLayout(N).variables, value), info=info)
+    answer = SimpleNamespace(x=np.full(N * sum(VARIABLES.values()), value), info=info)
     with monkeypatch.context() as patch:
         patch.setattr(osqp.OSQP, "solve", lambda _self, **_kwargs: answer)
         refused = mpc.solve(start, target, ZERO3, ZERO3)
