@@ -47,7 +47,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import EstimateConfig, VehicleConfig
-from companion.estimate.gating import Timeline
+from companion.estimate.gating import Gate, Timeline
 from companion.estimate.input_tally import InputTally
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_check import CameraCheck
@@ -223,9 +223,8 @@ class StateEstimator:
 
     def add_range(self, sample: RangeSample) -> bool:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""
-        if self._motion.newest_s is None or not self._usable(sample.time_s, (sample.distance_m,)):
-            return self._count("range", False)
-        measurement = self._height(sample)
+        usable = self._motion.newest_s is not None and self._usable(sample.time_s, (sample.distance_m,))
+        measurement = self._height(sample) if usable else None
         if measurement is None:
             return self._count("range", False)
         self._camera_check.take_echo(sample.time_s, measurement)
@@ -431,13 +430,10 @@ class StateEstimator:
     def refused(self) -> dict[str, int]:
         """Measurements not used so far, by kind: not finite or of a wrong time; innovation test failed."""
         counts = {f"{kind}_unusable": count for kind, count in self.tally.unusable.items()}
-        kinds = (*self._pad.gates, *self._vehicle.gates)
-        return counts | {f"{kind}_gate": self._refused_by(kind) for kind in kinds}
+        return counts | {f"{kind}_gate": gate.refused for kind, gate in self._gates().items()}
 
-    def _refused_by(self, test: str) -> int:
-        """How many measurements have failed this innovation test."""
-        gate = self._pad.gates.get(test)
-        return self._vehicle.refused_by(test) if gate is None else gate.refused
+    def _gates(self) -> dict[str, Gate]:
+        return {**self._pad.gates, **self._vehicle.gates}
 
     # ------------------------------------------------------------ the pad
 
@@ -470,7 +466,7 @@ class StateEstimator:
             why_not = ""
         elif not why_not:
             why_not = "older than what is remembered" if self._vehicle.aligned else "before the alignment"
-        self.tally.note(kind, why_not, self._refused_by)
+        self.tally.note(kind, why_not, self._gates)
         return taken
 
 

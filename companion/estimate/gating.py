@@ -3,22 +3,21 @@
 A measurement is accepted if its normalised innovation squared is below a chi-square bound. A late one is
 fused at its own time: the filter returns to its state before that time, takes the measurement, and then all
 newer ones again. So the result is exactly that of a measurement on time. A filter that can propagate its
-errors (`LateUpdatePropagator`) need not take the newer ones again: it propagates the change by the late
-measurement.
+errors (`carried`) need not take the newer ones again: it propagates the change by the late measurement.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
-from typing import Final, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3, vector3
 
 # 99.9 % points of the chi-square distribution by degrees of freedom (any statistics table)
-CHI_SQUARE_999: Final = {1: 10.828, 2: 13.816, 3: 16.266, 4: 18.467, 6: 22.458}
+CHI_SQUARE_999: Final = {1: 10.828, 2: 13.816, 3: 16.266, 4: 18.467}
 
 FEWEST_REFUSED: Final = 3  # in a row, for a filter to be in error
 
@@ -102,7 +101,6 @@ I_contra = TypeVar("I_contra", contravariant=True)
 Item = TypeVar("Item")
 
 
-@runtime_checkable
 class Replayable(Protocol[S, I_contra]):
     """A filter whose state can be put back. What `snapshot` returns must never change afterwards."""
 
@@ -119,26 +117,19 @@ class Replayable(Protocol[S, I_contra]):
         ...
 
 
-@runtime_checkable
-class LateUpdatePropagator(Replayable[S, I_contra], Protocol[S, I_contra]):
-    """One that can carry what a late input changes over newer ones, at a fraction of taking these again."""
-
-    def carried(self, base: S, later: Sequence[S], time_s: float, item: I_contra) -> list[S] | None:
-        """The states after the item, taken from `base` on, and after each of the newer inputs.
-
-        `later` are those without the item. None when they have to be taken again; the filter may be left in
-        any state.
-        """
-        ...
+# The states after a late input, taken from the first state on, and after each of the newer inputs, of which
+# those without it are given. None when they have to be taken again; the filter may be left in any state.
+Carried = Callable[[S, Sequence[S], float, Item], list[S] | None]
 
 
 class Timeline(Generic[S, Item]):
     """The last `span_s` of a filter's inputs with the state after each: late ones are put in their place."""
 
-    def __init__(self, target: Replayable[S, Item], span_s: float) -> None:
-        self._target = target
-        self._carrier = target if isinstance(target, LateUpdatePropagator) else None
-        self._span_s = span_s
+    def __init__(
+        self, target: Replayable[S, Item], span_s: float, carried: Carried[S, Item] | None = None
+    ) -> None:
+        """`carried`: how the filter carries what a late input changes over newer ones, if it can."""
+        self._target, self._span_s, self._carried = target, span_s, carried
         self._first = target.snapshot()
         self._times_s: list[float] = []
         self._items: list[Item] = []
@@ -153,8 +144,8 @@ class Timeline(Generic[S, Item]):
         if self._times_s and place == 0:
             return False
         carried = None
-        if self._carrier is not None and place < len(self._times_s):
-            carried = self._carrier.carried(self._after[place - 1], self._after[place:], time_s, item)
+        if self._carried is not None and place < len(self._times_s):
+            carried = self._carried(self._after[place - 1], self._after[place:], time_s, item)
         self._times_s.insert(place, time_s)
         self._items.insert(place, item)
         if carried is not None:

@@ -6,11 +6,12 @@ A filter that refuses everything no longer fits, even if its covariance is small
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from companion.base.messages import InputUse
+from companion.estimate.gating import Gate
 from companion.estimate.pad.observation_kinds import KINDS
 
 # on the ground nothing is lost by a new start; in the air a receiver may be off for so long
@@ -43,14 +44,14 @@ class InputTally:
     def __init__(self) -> None:
         self._counts: dict[str, _Count] = {}
 
-    def note(self, kind: str, why_not: str, refused_by: Callable[[str], int]) -> None:
-        """Count one; `why_not` is empty where it was taken, `refused_by` tells a test's refusals so far."""
+    def note(self, kind: str, why_not: str, gates: Callable[[], Mapping[str, Gate]]) -> None:
+        """Count one; `why_not` is empty where it was taken, `gates` tells how all have fared so far."""
         count = self._counts.get(kind)
         if count is None:
             count = self._counts[kind] = _Count()
         failed = []
         for name in GATES.get(kind, ()):
-            refused = refused_by(name)
+            refused = gates().get(name, Gate()).refused
             if refused > count.gated.get(name, 0):
                 failed.append(name)
             count.gated[name] = refused

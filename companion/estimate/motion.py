@@ -22,6 +22,7 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     add,
+    between,
     norm,
     quat_from_rotation_vector,
     quat_multiply,
@@ -205,8 +206,7 @@ class MotionHistory:
 
     def corrected(self, start_s: float, end_s: float) -> Vector3:
         """By what small rotation (rad, about NED axes) the attitude has been corrected between two times."""
-        (x, y, z), (u, v, w) = self._corrected_at(start_s), self._corrected_at(end_s)
-        return (u - x, v - y, w - z)
+        return subtract(self._corrected_at(end_s), self._corrected_at(start_s))
 
     def _corrected_at(self, time_s: float) -> Vector3:
         """All corrections up to a time, between samples as `attitude` has it."""
@@ -215,10 +215,9 @@ class MotionHistory:
             return self._corrected
         if place == 0 or place == len(self._times_s):
             return self._samples[max(place - 1, 0)][3]
-        (x, y, z), (u, v, w) = self._samples[place - 1][3], self._samples[place][3]
         start_s, end_s = self._times_s[place - 1], self._times_s[place]
-        k = (time_s - start_s) / (end_s - start_s)
-        return (x + k * (u - x), y + k * (v - y), z + k * (w - z))
+        share = (time_s - start_s) / (end_s - start_s)
+        return between(self._samples[place - 1][3], self._samples[place][3], share)
 
     def turned_rad(self, time_s: float, span_s: float) -> float:
         """Angle (rad) through which the vehicle turned in `span_s` at a time; 0 before the first sample."""

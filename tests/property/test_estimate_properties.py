@@ -92,7 +92,7 @@ def test_ekf_gives_the_same_for_any_order_of_arrival(seed: int, random: object) 
     for sequence in (ordered, [ordered[0], *shuffled]):
         start = InitialState(0.0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), FIELD, 0.03, 0.06, 1e-3)
         ekf = VehicleEkf(EkfConfig(), (0.1, 0.0, 0.0), start)
-        timeline: Timeline[EkfSnapshot, EkfInput] = Timeline(ekf, 1.0)
+        timeline: Timeline[EkfSnapshot, EkfInput] = Timeline(ekf, 1.0, ekf.carried)
         for time_s, item in sequence:
             assert timeline.add(time_s, item)
         results.append((ekf.attitude, ekf.x[_MOTION], ekf.motion_covariance()))
@@ -110,7 +110,7 @@ def test_ekf_gives_the_same_for_any_order_of_arrival(seed: int, random: object) 
 def test_transition_keeps_the_quaternions_length(q: Quaternion, rate: list[float], dt_s: float) -> None:
     x = np.zeros(model.STATES)
     x[model.QUATERNION] = q
-    u = model.InertialInput(vector3(rate), (0.3, -0.2, -9.8))
+    u = (vector3(rate), (0.3, -0.2, -9.8))
     after, _ = model.transition(x, u, dt_s)
     assert np.linalg.norm(after[model.QUATERNION]) == pytest.approx(1.0, abs=1e-12)
 

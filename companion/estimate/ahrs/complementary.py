@@ -24,6 +24,7 @@ from companion.base.geometry import (
     GRAVITY_M_S2,
     Quaternion,
     Vector3,
+    between,
     cross,
     norm,
     quat_integrate,
@@ -92,11 +93,8 @@ class OrientationFilter:
     def update_imu(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> Quaternion:
         """Attitude after one bias-free gyroscope and accelerometer sample, dt_s after the last."""
         q = quat_integrate(self.attitude, rate_body_rad_s, dt_s)
-        fx, fy, fz = quat_rotate(q, specific_force_m_s2)
-        k = dt_s / (ACCEL_AVERAGE_S + dt_s)
-        sx, sy, sz = self._force_ned_m_s2
-        force = (sx + k * (fx - sx), sy + k * (fy - sy), sz + k * (fz - sz))
-        self._force_ned_m_s2 = force
+        felt, k = quat_rotate(q, specific_force_m_s2), dt_s / (ACCEL_AVERAGE_S + dt_s)
+        self._force_ned_m_s2 = force = between(self._force_ned_m_s2, felt, k)
         size = norm(force)
         if abs(size - GRAVITY_M_S2) < ACCEL_GATE_M_S2:
             q = self._corrected(q, shortest_turn(scale(force, 1.0 / size), (0.0, 0.0, -1.0)), dt_s)

@@ -90,10 +90,7 @@ class MountCheck:
         if time_s - self._compared_s < min(APART_S):
             return
         for apart_s in APART_S:
-            first, middle = (
-                self._before(time_s, 2.0 * apart_s, apart_s),
-                self._before(time_s, apart_s, apart_s),
-            )
+            first, middle = (self._before(time_s, k * apart_s, apart_s) for k in (2.0, 1.0))
             if first is None or middle is None or not first.time_s < middle.time_s < time_s:
                 continue
             if time_s - self._compared_s >= apart_s:

@@ -161,7 +161,7 @@ class PadFilter:
             slow_share=snapshot.slow_share,
             jerk_m_s3=(turning * jerk_n, turning * jerk_e),
             models=dict(zip(self._names, probabilities, strict=True)),
-            tilt=snapshot.tilt.after(dt_s, self._config.tilt_acceleration_rad_s2_rthz).tilt,
+            tilt=snapshot.tilt.after(dt_s, self._config.tilt_acceleration_rad_s2_rthz),
             observed_time_s=snapshot.observed_time_s,
         )
 

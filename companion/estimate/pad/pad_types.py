@@ -6,7 +6,7 @@ NED, SI units. A snapshot is never written to again.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from companion.estimate.motion import rotation_lever
 from companion.estimate.pad.model_bank import BankState
 from companion.estimate.pad.observation import CommonError, RelativeFix
 from companion.estimate.pad.pad_models import Turn
-from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, AngleState, PadTilt, TiltState
+from companion.estimate.pad.tilt_filter import AngleState, TiltState
 from companion.estimate.pad.velocity_step import RefusedSighting
 
 # where (position, velocity, acceleration) of the three axes are in both groups' means (2, 8), and their
@@ -49,7 +49,7 @@ class PadMeasurement:
     vehicle_velocity_ned_m_s: Vector3 = ZERO3
     vehicle_velocity_std_m_s: Vector3 = ZERO3  # axis by axis
     slow_variance_m2: float = 0.0
-    tilt_rad: tuple[float, float] | None = None  # as of `PadTilt`
+    tilt_rad: tuple[float, float] | None = None  # as of `TiltState`
     tilt_std_rad: float = 0.0
 
     @property
@@ -84,11 +84,11 @@ class PadSnapshot(NamedTuple):
     gates: dict[str, Gate]
     seen_time_s: float
     slow_share: float
-    tilt: TiltState = LEVEL
-    refused: tuple[RefusedSighting, ...] = ()
-    before_step: PadSnapshot | None = None
-    observed_time_s: float = -math.inf
-    common: tuple[CommonError, ...] = ()
+    tilt: TiltState
+    refused: tuple[RefusedSighting, ...]
+    before_step: PadSnapshot | None
+    observed_time_s: float
+    common: tuple[CommonError, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,13 +106,13 @@ class CombinedEstimate:
     P: FloatArray
     heading_rad: float
     heading_rate_rad_s: float
-    seen_time_s: float = field(default=-math.inf)
-    turn_rate_rad_s: float = 0.0
-    slow_share: float = 0.0
-    models: dict[str, float] = field(default_factory=dict)
-    tilt: PadTilt = NOT_TILTING
-    jerk_m_s3: tuple[float, float] = (0.0, 0.0)
-    observed_time_s: float = -math.inf
+    seen_time_s: float
+    turn_rate_rad_s: float
+    slow_share: float
+    models: dict[str, float]
+    tilt: TiltState
+    jerk_m_s3: tuple[float, float]
+    observed_time_s: float
 
     @property
     def position_std_m(self) -> float:

@@ -59,19 +59,6 @@ class AngleState(NamedTuple):
         )
 
 
-class PadTilt(NamedTuple):
-    """North and east: the tilt (rad), its rate (rad/s), its mean (rad); and how it swings about that.
-
-    `swing_rad` is the root mean square of both axes together, `frequency_rad_s` that of the swing, 0 without.
-    """
-
-    tilt_rad: tuple[float, float] = (0.0, 0.0)
-    rate_rad_s: tuple[float, float] = (0.0, 0.0)
-    mean_rad: tuple[float, float] = (0.0, 0.0)
-    swing_rad: float = 0.0
-    frequency_rad_s: float = 0.0
-
-
 class TiltState(NamedTuple):
     """Both axes' filters, and fading means: of the tilt, of the swing's square and of the rate's square."""
 
@@ -91,9 +78,8 @@ class TiltState(NamedTuple):
 
     def after(self, dt_s: float, acceleration_rad_s2_rthz: float) -> TiltState:
         """The state dt_s later."""
-        north = self.north.after(dt_s, acceleration_rad_s2_rthz)
-        east = self.east.after(dt_s, acceleration_rad_s2_rthz)
-        return TiltState(north, east, self.mean_rad, self.swing_square, self.rate_square, self.watched_s)
+        north, east = (axis.after(dt_s, acceleration_rad_s2_rthz) for axis in self[:2])
+        return TiltState(north, east, *self[2:])
 
     def corrected(self, tilt_rad: tuple[float, float], std_rad: float, since_s: float) -> TiltState:
         """With a sighting's tilt, so long after the one before."""
@@ -116,20 +102,26 @@ class TiltState(NamedTuple):
         )
 
     @property
-    def tilt(self) -> PadTilt:
-        """What is known of it."""
-        swing_rad = math.sqrt(self.swing_square)
-        frequency = 0.0
-        if swing_rad > STILL_RAD:
-            frequency = min(QUICKEST_RAD_S, max(SLOWEST_RAD_S, math.sqrt(self.rate_square) / swing_rad))
-        return PadTilt(
-            (self.north.angle_rad, self.east.angle_rad),
-            (self.north.rate_rad_s, self.east.rate_rad_s),
-            self.mean_rad,
-            swing_rad,
-            frequency,
-        )
+    def tilt_rad(self) -> tuple[float, float]:
+        """The tilt, north and east."""
+        return self.north.angle_rad, self.east.angle_rad
+
+    @property
+    def rate_rad_s(self) -> tuple[float, float]:
+        """Its rate."""
+        return self.north.rate_rad_s, self.east.rate_rad_s
+
+    @property
+    def swing_rad(self) -> float:
+        """The root mean square of the swing about the mean, both axes together."""
+        return math.sqrt(self.swing_square)
+
+    @property
+    def frequency_rad_s(self) -> float:
+        """How quickly it swings; 0: not at all."""
+        if not self.swing_rad > STILL_RAD:
+            return 0.0
+        return min(QUICKEST_RAD_S, max(SLOWEST_RAD_S, math.sqrt(self.rate_square) / self.swing_rad))
 
 
 LEVEL: Final = TiltState()
-NOT_TILTING: Final = PadTilt()

@@ -80,19 +80,16 @@ class VehicleEkf(EkfState):
         self._moved = model.EYE
         if isinstance(item, GpsStep):
             self._take_gps(time_s, item)
-            return
-        if isinstance(item, BiasStep):
+        elif isinstance(item, BiasStep):
             self._take_bias_step(item)
-            return
-        if isinstance(item, AttitudeStep):
+        elif isinstance(item, AttitudeStep):
             self._take_anchor(item)
-            return
-        if isinstance(item, SecondAttitudeStep):
+        elif isinstance(item, SecondAttitudeStep):
             self._take_second(item)
-            return
-        u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
-        self.predict(time_s, u, item.samples, self._shown_by_fixes(item.noise), item.span_s)
-        self._take_measured(item)
+        else:
+            u = item.rate_body_rad_s, item.specific_force_body_m_s2
+            self.predict(time_s, u, item.samples, self._shown_by_fixes(item.noise), item.span_s)
+            self._take_measured(item)
 
     def _shown_by_fixes(self, noise: StepNoise) -> StepNoise:
         """Vibration says how much the force's mean may be off; fixes show whether it is.
@@ -174,34 +171,28 @@ class VehicleEkf(EkfState):
             self._take_zero(model.VELOCITY, 0.05)
 
     def _take_attitude(self, attitude: Quaternion, tilt_noise_rad: float, heading_noise_rad: float) -> None:
-        expected, C = model.attitude_model(self.x)
+        expected = self.x[model.QUATERNION]
         measured, own = np.array(attitude), self.attitude
         if measured @ expected < 0.0:
             measured = -measured
         rotation = model.diagonal(tilt_noise_rad**2, tilt_noise_rad**2, heading_noise_rad**2)
+        # a pre-filter's heading is the field's, which counts by itself; of one that is refused it tells
+        # nothing either. While fixes hold the heading, a compass that keeps to one side is its own matter,
+        # which the pre-filter cannot judge: a steel deck turns it so, within size and dip
+        by_field = self.gates.get("mag", Gate()).accepted > 0
+        counted_already = model.diagonal(0.0, 0.0, UNKNOWN_RAD**2 if by_field else 0.0)
+        unjudged = model.diagonal(0.0, 0.0, UNKNOWN_RAD**2 if by_field and self._fixes_fit else 0.0)
         apart = rotation_vector_from_quat(quat_multiply(attitude, quat_conjugate(own)))
-        root = np.linalg.cholesky(self.rotation_covariance() + rotation + self._unjudged())
+        root = np.linalg.cholesky(self.rotation_covariance() + rotation + unjudged)
         # along the quaternion's length there is nothing to learn: any noise that keeps R regular
         length = 1e-2 * (expected[:, None] * expected)
         gate_noise = model.attitude_covariance(own, rotation) + length
-        R = model.attitude_covariance(own, rotation + self._counted_already()) + length
-        if self._update("orientation", measured - expected, C, R, gate_noise):
+        R = model.attitude_covariance(own, rotation + counted_already) + length
+        if self._update("orientation", measured - expected, model.EYE[model.QUATERNION], R, gate_noise):
             self.watch = self.watch.after(self.time_s, vector3(np.linalg.solve(root, apart)))
             self._handle_inconsistency(attitude, rotation, apart)
         elif self.gates["orientation"].shut_out(self.time_s, self._config.orientation_timeout_s):
             self._restart_attitude(attitude, rotation)
-
-    def _counted_already(self) -> FloatArray:
-        """Variance (3, 3) about NED axes: a pre-filter's heading is the field's, which counts by itself; of
-        one that is refused it tells nothing either."""
-        counted = self.gates.get("mag", Gate()).accepted
-        return model.diagonal(0.0, 0.0, UNKNOWN_RAD**2 if counted else 0.0)
-
-    def _unjudged(self) -> FloatArray:
-        """Variance (3, 3) about NED axes of what the pre-filter cannot judge: while fixes hold the heading, a
-        compass that keeps to one side is its own matter. A steel deck turns it so, within size and dip."""
-        known = self._fixes_fit and self.gates.get("mag", Gate()).accepted
-        return model.diagonal(0.0, 0.0, UNKNOWN_RAD**2 if known else 0.0)
 
     @property
     def _fixes_fit(self) -> bool:
@@ -216,8 +207,7 @@ class VehicleEkf(EkfState):
         """
         if not self.watch.misfits:
             return
-        fixes_fit = self._fixes_fit
-        if fixes_fit and self.fix_watch.refutes(apart[2]):
+        if (fixes_fit := self._fixes_fit) and self.fix_watch.refutes(apart[2]):
             self.watch = self.watch.renewed()
             return
         if not self.watch.doubted_lately:
@@ -299,9 +289,7 @@ class VehicleEkf(EkfState):
         self._update("second_attitude", np.array(step.turn_rad), C, R, R)
 
     def _take_zero(self, states: slice, std: float) -> None:
-        C = np.zeros((3, model.STATES))
-        C[:, states] = EYE3
-        self._update("still", -self.x[states], C, std**2 * EYE3, None)
+        self._update("still", -self.x[states], model.EYE[states], std**2 * EYE3, None)
 
     def _take_gps(self, time_s: float, fix: GpsStep) -> None:
         later_s = time_s - self.time_s
@@ -351,10 +339,8 @@ class VehicleEkf(EkfState):
     def _take_bias_step(self, step: BiasStep) -> None:
         """Take the bias that a second gyroscope shows; what the old one has turned goes back with it."""
         self._suspect_bias(step.for_s)
-        C = np.zeros((3, model.STATES))
-        C[:, model.GYRO_BIAS] = EYE3
         innovation = step.gyro_bias_rad_s - self.x[model.GYRO_BIAS]
-        self._correct(innovation, C, STEP_STD_RAD_S**2 * EYE3)
+        self._correct(innovation, model.EYE[model.GYRO_BIAS], STEP_STD_RAD_S**2 * EYE3)
         self._inflate_rotation((STRIDE_S * norm(vector3(innovation))) ** 2 * EYE3)
 
     def _start_from(self, time_s: float, fix: GpsStep, keep_speed: bool) -> None:

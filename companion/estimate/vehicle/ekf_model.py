@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from itertools import accumulate
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,12 +188,9 @@ def _turned(q: Quaternion, rotation: Vector3, scale_by: float) -> tuple[Quaterni
     return quat_multiply(q, turn), np.array(values).reshape(4, 7)
 
 
-class InertialInput(NamedTuple):
-    """What the IMU measured over a step, u of eq. 17: the constant rate and specific force (body) that would
-    have turned and accelerated the vehicle as the samples did."""
-
-    rate_body_rad_s: Vector3
-    specific_force_body_m_s2: Vector3
+# What the IMU measured over a step, u of eq. 17: the constant rate and specific force (body) that would have
+# turned and accelerated the vehicle as the samples did.
+InertialInput = tuple[Vector3, Vector3]
 
 
 def transition(x: FloatArray, u: InertialInput, dt_s: float) -> tuple[FloatArray, FloatArray]:
@@ -206,7 +203,7 @@ def transition(x: FloatArray, u: InertialInput, dt_s: float) -> tuple[FloatArray
     state = x.tolist()
     qw, qx, qy, qz = state[QUATERNION]
     (ax, ay, az), (gx, gy, gz) = state[ACCEL_BIAS], state[GYRO_BIAS]
-    (rx, ry, rz), (fx, fy, fz) = u.rate_body_rad_s, u.specific_force_body_m_s2
+    (rx, ry, rz), (fx, fy, fz) = u
     rx, ry, rz, force = (rx - gx) * dt_s, (ry - gy) * dt_s, (rz - gz) * dt_s, (fx - ax, fy - ay, fz - az)
     q_after, turning = _turned((qw, qx, qy, qz), (rx, ry, rz), -dt_s)
     q_mid, turning_half = _turned((qw, qx, qy, qz), (0.5 * rx, 0.5 * ry, 0.5 * rz), -0.5 * dt_s)
@@ -263,11 +260,6 @@ def gps_velocity_model(
     C[:, QUATERNION] = rotation_jacobian(q, lever)
     C[:, RATE] = matrix_from_quat(q) @ rotation_lever(antenna_body_m)
     return x[VELOCITY] + later_s * x[ACCELERATION] + quat_rotate(q, lever), C
-
-
-def attitude_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The orientation filter's quaternion (Fig. 6): values (4,) and Jacobian (4, 31)."""
-    return x[QUATERNION].copy(), EYE[QUATERNION]
 
 
 def attitude_covariance(q: Quaternion, rotation_ned_covariance: FloatArray) -> FloatArray:

@@ -106,10 +106,8 @@ class EkfState:
 
     def motion_covariance(self) -> FloatArray:
         """Covariance (9, 9): small rotation about NED axes (rad), velocity NED (m/s), position NED (m)."""
-        states = [*range(model.STATES)[model.VELOCITY], *range(model.STATES)[model.POSITION]]
-        J = np.zeros((9, model.STATES))
-        J[0:3, model.QUATERNION] = model.rotation_from_quaternion(self.attitude)
-        J[range(3, 9), states] = 1.0
+        rotation = model.rotation_from_quaternion(self.attitude) @ model.EYE[model.QUATERNION]
+        J = np.vstack((rotation, model.EYE[model.VELOCITY], model.EYE[model.POSITION]))
         covariance: FloatArray = J @ self.P @ J.T
         return covariance
 
@@ -136,9 +134,9 @@ class EkfState:
         diagonal += self._noise * dt_s
         yaw_rad_s = 0.0  # before any fix nothing has taught what it is measured as: noise, as of other turns
         if self.has_position:
-            yaw_rad_s = u.rate_body_rad_s[2] - float(self.x[model.GYRO_BIAS][2])
-        rate = self.yaw_error.taken_off(u.rate_body_rad_s, yaw_rad_s)
-        self.x, A = model.transition(self.x, model.InertialInput(rate, u.specific_force_body_m_s2), dt_s)
+            yaw_rad_s = u[0][2] - float(self.x[model.GYRO_BIAS][2])
+        u = self.yaw_error.taken_off(u[0], yaw_rad_s), u[1]
+        self.x, A = model.transition(self.x, u, dt_s)
         before = self.yaw_error.with_state
         self.yaw_error, G = self.yaw_error.predicted(A, yaw_rad_s, dt_s)
         P[:n] = A @ P[:m] + G @ before.T

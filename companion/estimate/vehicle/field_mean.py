@@ -15,6 +15,7 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     add,
+    between,
     cross,
     dot,
     quat_from_rotation_vector,
@@ -80,9 +81,8 @@ class FieldMean:
         """Take the mean field at the samples' own stamps, and that of w x F."""
         last_field, last_sweep = self._lasting or (field, sweep)
         share = span_s / (FADING_S + span_s)
-        field_mean = add(last_field, scale(subtract(field, last_field), share))
-        sweep_mean = add(last_sweep, scale(subtract(sweep, last_sweep), share))
-        self._lasting = (field_mean, sweep_mean)
+        self._lasting = between(last_field, field, share), between(last_sweep, sweep, share)
+        field_mean, sweep_mean = self._lasting
         moved, by = subtract(field, field_mean), subtract(sweep, sweep_mean)
         square = dot(by, by)
         gain = self._variance_s2 / (self._density_ut2_s / span_s + self._variance_s2 * square)

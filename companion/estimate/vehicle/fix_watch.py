@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
+from companion.base.geometry import ZERO3, Vector3, between, dot, subtract
 from companion.estimate.gating import CHI_SQUARE_999
 from companion.estimate.vehicle.innovation_watch import WINDOW_S
 
@@ -39,7 +39,7 @@ DRIFT_S: Final = 0.2  # a force that is off leads the velocity away for so long 
 MOST_REFUSED: Final = 5  # in a row; a jump needs more to show its direction
 HEADING_S: Final = 5.0  # changes of velocity count for the heading that it has had for so long
 FRESH_S: Final = 1.0  # a fix: receivers give one a second at least
-DRIFT_SPAN_S: Final = 2.0  # a force that is off for a second or so shows by then, beside a receiver's noise
+DRIFT_SPAN_S: Final = 2.0 * FORCE_ERROR_S  # a force that is off shows by then, beside a receiver's noise
 DRIFT_SPANS: Final = 10  # the fading mean goes back so far
 
 
@@ -107,7 +107,7 @@ class FixWatch(NamedTuple):
 
     def after(self, innovation_m_s: Vector3, test: float) -> FixWatch:
         """With one fix more; `test` is its normalised innovation squared, a degree of freedom."""
-        mean = add(self.mean_m_s, scale(subtract(innovation_m_s, self.mean_m_s), DIRECTION_SHARE))
+        mean = between(self.mean_m_s, innovation_m_s, DIRECTION_SHARE)
         square = dot(innovation_m_s, innovation_m_s)
         return self._replace(
             excess=self.excess + EXCESS_SHARE * (min(test, LARGEST_TEST) - self.excess),

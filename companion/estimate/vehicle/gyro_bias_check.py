@@ -38,7 +38,7 @@ from companion.estimate.ahrs.alignment import LARGEST_BIAS_RAD_S
 from companion.estimate.motion import MotionHistory, turn_between
 
 WINDOW_S: Final = 0.75  # a step of 2 deg/s is found within a second (decision 40)
-STRIDE_S: Final = 0.25  # from one window's start to the next's
+STRIDE_S: Final = WINDOW_S / 3.0  # from one window's start to the next's
 # what two windows differ by at most to agree, and from the present bias at least; each finds it to 0.3 deg/s
 STEP_RAD_S: Final = math.radians(0.7)
 # of the autopilot's reports, beside our samples: a turn makes that much of difference

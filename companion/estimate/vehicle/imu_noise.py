@@ -17,7 +17,7 @@ from collections import deque
 from itertools import pairwise
 from typing import Final, NamedTuple
 
-from companion.base.geometry import ZERO3, Vector3
+from companion.base.geometry import ZERO3, Vector3, between
 from companion.config import EkfConfig
 
 SHAKING_SHARE: Final = 0.5  # of the vibration beyond the bound: so far may the force's mean be off
@@ -26,10 +26,10 @@ SHAKING_SHARE: Final = 0.5  # of the vibration beyond the bound: so far may the 
 USUAL_SHARE: Final = 0.05
 MEMORY_S: Final = 0.2  # of the vibration: forty samples at 200 Hz; judged
 BLOCK_S: Final = 0.02  # motion of the vehicle is slower, vibration that matters for the velocity is not
-BLOCK_MEMORY_S: Final = 1.0  # of the slow noise: fifty blocks
+BLOCK_MEMORY_S: Final = 50.0 * BLOCK_S  # of the slow noise
 LASTING_S: Final = 2.0  # a turn that ends sooner turns back: no scale error is left of it
 GAP_STEPS: Final = 3.0  # so many times the step before
-_SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
+_SECOND_DIFFERENCE_VARIANCE: Final = sum(a * a for a in (1.0, -2.0, 1.0))  # for white noise
 # a motion whose acceleration changes evenly leaves nothing in it
 _THIRD_DIFFERENCE: Final = (1.0, -3.0, 3.0, -1.0)
 _ForceAndRate = tuple[float, float, float, float, float, float]
@@ -82,10 +82,6 @@ class VibrationMonitor:
     def rms_m_s2(self) -> float:
         """The vibration's root mean square (m/s²)."""
         return math.sqrt(self._mean_square)
-
-    def error_m_s2(self, bound_m_s2: float, share: float) -> float:
-        """By how much the mean may be off: a share of what exceeds the bound."""
-        return max(share * (self.rms_m_s2 - bound_m_s2), 0.0)
 
 
 class SlowNoise:
@@ -169,18 +165,16 @@ class ImuNoise:
         self._dt_s = dt_s
         self._vibration.add(specific_force_m_s2, dt_s)
         self._slow.add(specific_force_m_s2, rate_body_rad_s, dt_s)
-        (p, q, r), (u, v, w) = self._rate, rate_body_rad_s
-        k = dt_s / (LASTING_S + dt_s)
-        self._rate = (p + (u - p) * k, q + (v - q) * k, r + (w - r) * k)
+        self._rate = between(self._rate, rate_body_rad_s, dt_s / (LASTING_S + dt_s))
 
     @property
     def now(self) -> StepNoise:
         """Of a step that ends with the newest sample."""
-        config = self._config
+        rms_m_s2 = self._vibration.rms_m_s2
         return StepNoise(
             self._slow.force_density_m2_s3,
-            self._vibration.error_m_s2(config.shaking_bound_m_s2, SHAKING_SHARE),
+            max(SHAKING_SHARE * (rms_m_s2 - self._config.shaking_bound_m_s2), 0.0),
             self._rate,
             self._slow.rate_density_rad2_s,
-            USUAL_SHARE * self._vibration.rms_m_s2,
+            USUAL_SHARE * rms_m_s2,
         )

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
+from companion.base.geometry import ZERO3, Vector3, between, dot
 from companion.estimate.gating import CHI_SQUARE_999
 
 WINDOW_S: Final = 3.0  # and a doubt has so long to have its effect
@@ -43,7 +43,7 @@ class InnovationWatch(NamedTuple):
         number = self.innovations + 1
         share = max(1.0 / number, min((time_s - self.last_s) / WINDOW_S, 1.0))
         return self._replace(
-            mean=add(self.mean, scale(subtract(whitened, self.mean), share)),
+            mean=between(self.mean, whitened, share),
             variance=(1.0 - share) ** 2 * self.variance + share**2,
             innovations=number,
             since_s=min(self.since_s, time_s),

@@ -231,18 +231,9 @@ class VehicleEstimator:
     # ------------------------------------------------------------ outputs
 
     @property
-    def gates(self) -> tuple[str, ...]:
-        """The innovation tests that a measurement has undergone."""
-        return () if self._ekf is None else (*self._ekf.gates, "field")
-
-    def refused_by(self, test: str) -> int:
-        """How many measurements have failed this innovation test."""
-        if self._ekf is None:
-            return 0
-        if test == "field":
-            return self._fields_untrusted
-        gate = self._ekf.gates.get(test)
-        return 0 if gate is None else gate.refused
+    def gates(self) -> dict[str, Gate]:
+        """How each kind of measurement has fared in its test; a field has one before the EKF's."""
+        return {} if self._ekf is None else {**self._ekf.gates, "field": Gate(refused=self._fields_untrusted)}
 
     def rotation_covariance(self) -> FloatArray | None:
         """Covariance (3, 3) of the attitude about NED axes (rad²); None before the alignment."""
@@ -334,7 +325,7 @@ class VehicleEstimator:
         self._expected_ut = start.field_ned_ut
         self._orientation = new_orientation(self._config, start.field_ned_ut, start.attitude)
         self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
-        self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)
+        self._timeline = Timeline(self._ekf, self._config.ekf.remember_s, self._ekf.carried)
         self._inertial.gyro_bias_rad_s, self._inertial.attitude = start.gyro_bias_rad_s, start.attitude
         self._resting = found.still
         self._mag_trusted_s = time_s

@@ -17,10 +17,10 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import GpsFix, ImuSample, MagSample, PadSighting
+from companion.config import EkfConfig
 from companion.estimate.estimator import StateEstimator
-from companion.estimate.pad.pad_types import CombinedEstimate
 from companion.estimate.vehicle.fix_watch import FixWatch
-from companion.estimate.vehicle.imu_noise import VibrationMonitor
+from companion.estimate.vehicle.imu_noise import ImuNoise
 from tests.unit.estimate.estimate_flight import EstimateFlight, circle, feed, new_estimator
 
 FLOWN = EstimateFlight(path=circle(8.0, 4.0), duration_s=36.0)
@@ -221,11 +221,11 @@ def test_one_suspicion_has_time_to_take_effect() -> None:
 
 
 def shaken(std_m_s2: float, motion_m_s2: Callable[[float], float]) -> float:
-    rng, shaking = np.random.default_rng(1), VibrationMonitor()
+    rng, shaking = np.random.default_rng(1), ImuNoise(EkfConfig(shaking_bound_m_s2=2.0))
     for k in range(400):
         noise = std_m_s2 * rng.standard_normal(3)
-        shaking.add(vector3(noise + np.array([motion_m_s2(0.005 * k), 0.0, -9.8])), 0.005)
-    return shaking.error_m_s2(bound_m_s2=2.0, share=0.5)
+        shaking.add(ZERO3, vector3(noise + np.array([motion_m_s2(0.005 * k), 0.0, -9.8])), 0.005)
+    return shaking.now.force_error_m_s2
 
 
 def test_shaking_beyond_the_bound_is_doubted_by_its_excess() -> None:
@@ -286,7 +286,9 @@ def test_a_pad_that_is_nowhere_is_none_to_fly_to_or_to_look_for(
     snapshot = estimator._pad.snapshot()._replace(seen_time_s=12.0)
     monkeypatch.setattr(estimator._timeline, "as_of", lambda _time_s: snapshot)
     x, sure = np.zeros(9), np.eye(9)
-    estimate = CombinedEstimate(x, sure, 0.0, 0.0, seen_time_s=12.0)
+    predicted = estimator._pad.predicted(snapshot, 12.0)
+    assert predicted is not None
+    estimate = replace(predicted, x=x, P=sure)
     monkeypatch.setattr(estimator._pad, "predicted", lambda *_given: estimate)
     prior = estimator.pad_prior(12.0)
     assert prior is not None

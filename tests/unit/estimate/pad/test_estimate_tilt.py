@@ -9,7 +9,7 @@ import pytest
 from companion.base.geometry import ZERO3
 from companion.base.messages import PadState
 from companion.config import PadFilterConfig, TouchdownConfig
-from companion.estimate.pad.tilt_filter import PadTilt, TiltState
+from companion.estimate.pad.tilt_filter import LEVEL, TiltState
 from companion.plan.landing.success import SuccessEstimate, tilt_in_rad
 
 FRAME_S = 1.0 / 30.0
@@ -21,16 +21,16 @@ def rolling(time_s: float) -> tuple[float, float]:
     return 0.0, LIST_RAD + ROLL_RAD * math.sin(math.tau * time_s / PERIOD_S)
 
 
-def watched(seconds: float, noise_rad: float = math.radians(0.5)) -> PadTilt:
+def watched(seconds: float, noise_rad: float = math.radians(0.5)) -> TiltState:
     rng, density = np.random.default_rng(4), PadFilterConfig().tilt_acceleration_rad_s2_rthz
     state = TiltState.first(rolling(0.0), noise_rad)
     for k in range(1, round(seconds / FRAME_S)):
         north, east = np.add(rolling(k * FRAME_S), noise_rad * rng.standard_normal(2)).tolist()
         state = state.after(FRAME_S, density).corrected((north, east), noise_rad, FRAME_S)
-    return state.tilt
+    return state
 
 
-def pad_of(tilt: PadTilt) -> PadState:
+def pad_of(tilt: TiltState) -> PadState:
     pad = PadState(0.0, (0.0, 0.0, 0.5), ZERO3, ZERO3, ZERO3, 0.0, 0.0, 0.01, 0.01, 0.0)
     return replace(
         pad,
@@ -72,13 +72,13 @@ def pad_level(pad: PadState, ahead_s: float) -> float:
 
 
 def test_a_slope_that_does_not_swing_is_met_at_any_time() -> None:
-    slope = replace(pad_of(PadTilt()), tilt_rad=(0.2, 0.0), tilt_mean_rad=(0.2, 0.0), tilt_swing_rad=0.001)
+    slope = replace(pad_of(LEVEL), tilt_rad=(0.2, 0.0), tilt_mean_rad=(0.2, 0.0), tilt_swing_rad=0.001)
     assert pad_level(slope, 0.0) == 1.0
 
 
 def test_a_deck_at_its_roll_is_waited_for() -> None:
     roll = replace(
-        pad_of(PadTilt()),
+        pad_of(LEVEL),
         tilt_rad=(0.0, ROLL_RAD),
         tilt_swing_rad=ROLL_RAD / math.sqrt(2.0),
         tilt_frequency_rad_s=math.tau / PERIOD_S,

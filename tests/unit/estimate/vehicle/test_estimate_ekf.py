@@ -77,7 +77,7 @@ def test_covariance_stays_symmetric_and_positive_definite() -> None:
 def test_euler_angles_and_their_covariance_follow_from_the_quaternion() -> None:
     ekf = new_ekf(quat_from_euler(0.1, -0.2, 2.0))
     busy(ekf, 1, 300)
-    ekf.predict(ekf.time_s + 0.01, model.InertialInput((0.3, 0.2, -0.5), (0.0, 1.0, -9.0)))
+    ekf.predict(ekf.time_s + 0.01, ((0.3, 0.2, -0.5), (0.0, 1.0, -9.0)))
     assert abs(np.dot(quat_from_euler(*ekf.x[model.EULER]), ekf.attitude)) == pytest.approx(1.0)
     J = model.euler_jacobian(ekf.attitude)
     quaternion = ekf.P[model.QUATERNION, model.QUATERNION]

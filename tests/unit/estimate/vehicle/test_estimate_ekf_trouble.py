@@ -220,8 +220,8 @@ def feed_moving(timeline: Timeline[object, object], delay_s: float) -> None:
 def test_a_late_fix_gives_nearly_what_it_would_have_given_on_time(delay_s: float, stds: float) -> None:
     """Forces and fixes that contradict one another: what a fix changes is more than in any flight."""
     on_time, late = new_ekf(), new_ekf()
-    feed_moving(Timeline(on_time, 0.6), 0.0)  # type: ignore[arg-type]
-    feed_moving(Timeline(late, 0.6), delay_s)  # type: ignore[arg-type]
+    feed_moving(Timeline(on_time, 0.6, on_time.carried), 0.0)  # type: ignore[arg-type]
+    feed_moving(Timeline(late, 0.6, late.carried), delay_s)  # type: ignore[arg-type]
     std = np.sqrt(on_time.P.diagonal())
     assert np.abs((late.x - on_time.x) / std).max() < stds
     assert np.sqrt(late.P.diagonal()) / std == pytest.approx(1.0, abs=0.02)

@@ -39,7 +39,7 @@ def new_ekf() -> Counting:
 def hovered(*late: tuple[float, GpsStep], fixes: bool = True, until_s: float = 2.0) -> Counting:
     """Two seconds of hover with a fix every 0.2 s until 1.8 s; the late ones come after all that."""
     ekf = new_ekf()
-    timeline: Timeline[Any, Any] = Timeline(ekf, 0.6)
+    timeline: Timeline[Any, Any] = Timeline(ekf, 0.6, ekf.carried)
     for k in range(1, round(until_s / 0.02) + 1):
         t = 0.02 * k
         timeline.add(t, ImuStep(ZERO3, DOWN_FORCE, 4))

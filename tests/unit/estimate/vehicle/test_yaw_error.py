@@ -29,7 +29,7 @@ def standing() -> EkfState:
 def turning(k: tuple[float, float, float], rate_rad_s: float) -> model.InertialInput:
     """What the IMU shows of a yaw, standing level."""
     measured = (k[0] * rate_rad_s, k[1] * rate_rad_s, (1.0 + k[2]) * rate_rad_s)
-    return model.InertialInput(measured, (0.0, 0.0, -GRAVITY_M_S2))
+    return (measured, (0.0, 0.0, -GRAVITY_M_S2))
 
 
 def whole(ekf: EkfState) -> FloatArray:
@@ -45,9 +45,8 @@ def test_prediction_and_correction_are_those_of_one_filter_with_34_states() -> N
     before, x = whole(ekf), np.append(ekf.x, ekf.yaw_error.share)
     u = turning(ZERO3, 0.5)
     r = 0.5 - float(ekf.x[model.GYRO_BIAS][2])
-    corrected = model.InertialInput(
-        vector3(np.array(u.rate_body_rad_s) - r * ekf.yaw_error.share), u.specific_force_body_m_s2
-    )
+    rate, force = u
+    corrected = (vector3(np.array(rate) - r * ekf.yaw_error.share), force)
     _, A = model.transition(ekf.x, corrected, STEP_S)
     F = np.eye(WHOLE)
     F[: model.MOVING, : model.COUPLED] = A
