@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.autopilots import PROFILES
 from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale, subtract, vector3, yaw_from_quat
 from companion.base.messages import (
     IMU_PREDICTED_S,
@@ -34,7 +33,7 @@ from companion.control.limits import LimitsGate
 from companion.control.mpc.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.pad_prediction import PadPrediction, origin_at_rest, predict_pad
 from companion.control.response.fitting import fitted
-from companion.control.response.flight_model import advance, flown_kind, lags, velocity_gains
+from companion.control.response.flight_model import advance, flown_kind, lags
 from companion.control.response.plant import Plant
 from companion.control.setpoints import (
     Heading,
@@ -57,8 +56,6 @@ HEARD: Final = LinkHealth()
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5
-# states are to be fresh; older ones are carried on for no longer than this
-LONGEST_PREDICTION_S = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,14 +99,10 @@ class Controller:
         self._setup = setup
         self._config = config = fitted(config, self._response, setup)
         self._lags_s = lags(vehicle, config, autopilot_kind)
-        self._raises_thrust = PROFILES[autopilot_kind].raises_thrust_by_tilt
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
         self._plant = Plant(config, vehicle, self._lags_s, autopilot_kind, measures_thrust=measures_thrust)
         self.thrust = ThrustGuard(self._plant, vehicle, measures=measures_thrust)
-        self._gains_1_s = velocity_gains(
-            vehicle, config, autopilot_kind, sideways=config.setpoint == "velocity"
-        )
         self._gate = LimitsGate(config.limits)
         self._feedforward = AdaptiveFeedforward(config.horizontal)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
@@ -233,7 +226,7 @@ class Controller:
             iterations=0,
             solve_s=0.0,
             limited=limited,
-            hover_thrust=plant.hover_thrust,
+            hover_thrust=plant.hover.value,
             blind=True,
             obeyed=obeyed,
         )
@@ -263,7 +256,7 @@ class Controller:
         planned_m_s = float(reference.velocity_m_s[0, 2] + start.prediction.velocity_m_s[0, 2])
         self.thrust.watch(vehicle.velocity_ned_m_s[2], planned_m_s, now_s)
         target = within_reach(
-            make_target(reference, start.times_s, start.prediction, self._plant.hover_thrust),
+            make_target(reference, start.times_s, start.prediction, self._plant.hover.value),
             start.motion.position_m,
             self._config.horizontal_reach_m,
             self._config.vertical_reach_m,
@@ -298,7 +291,7 @@ class Controller:
             predicted,
             late=solution.late,
             stopped=self._stopped,
-            hover_thrust=self._plant.hover_thrust,
+            hover_thrust=self._plant.hover.value,
             cut_s=self._health.cut_s,
             failure=self.thrust.fault or self._health.failure(limited),
             short_of=self._health.short_of,
@@ -336,7 +329,6 @@ class Controller:
             # the frame begins where the pad was estimated: the vehicle is at minus its relative position
             velocity = subtract(pad.velocity_ned_m_s, pad.relative_velocity_ned_m_s)
             motion = Motion(scale(pad.relative_position_ned_m, -1.0), velocity, acceleration)
-        from_s = max(from_s, now_s - LONGEST_PREDICTION_S)
         return _Start(times_s, self._plant.carry(motion, from_s, effect_s), prediction)
 
     def _setpoint(self, motion: Motion, solution: TrackingSolution, now_s: float) -> Setpoint:
@@ -345,16 +337,16 @@ class Controller:
             return stop_setpoint(now_s, look)
         u = vector3(solution.inputs_m_s2[0].tolist())
         if self._config.setpoint == "attitude":
-            return attitude_setpoint(now_s, motion.velocity_m_s, u, plant.hover_thrust, look)
+            return attitude_setpoint(now_s, motion.velocity_m_s, u, plant.hover.value, look)
         return velocity_setpoint(
             now_s,
             self._config,
             motion=motion,
             input_ned_m_s2=u,
             disturbance_ned_m_s2=plant.disturbance_ned_m_s2,
-            lasting_ned_m_s2=plant.lasting_disturbance_ned_m_s2,
+            lasting_ned_m_s2=plant.lasting.lasting_ned_m_s2,
             lags_s=self._lags_s,
-            gains_1_s=self._gains_1_s,
+            gains_1_s=plant.gains_1_s,
             heading=look,
         )
 
@@ -365,7 +357,7 @@ class Controller:
         asked, disturbance = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2
         period_s = 0.5 / self._config.rate_hz
         thrust = ZERO3
-        if not self._raises_thrust:
+        if not self._plant.raises_thrust:
             flown = advance(motion, add(asked, disturbance), period_s, self._lags_s).acceleration_m_s2
             thrust = subtract(flown, disturbance)
         return tilt_compensation(thrust, asked, math.radians(self._config.limits.tilt_deg))

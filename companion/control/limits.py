@@ -36,6 +36,16 @@ LONGEST_STEP_S = 0.2
 ROUNDING = 1.0 + 1e-9
 
 
+def by_tilt_m_s2(limits: LimitsConfig) -> float:
+    """The horizontal acceleration (m/s2) of the greatest tilt, without a vertical one."""
+    return GRAVITY_M_S2 * math.tan(math.radians(limits.tilt_deg))
+
+
+def aside_m_s2(limits: LimitsConfig) -> float:
+    """The greatest horizontal acceleration (m/s2), by its own bound and by the tilt's."""
+    return min(by_tilt_m_s2(limits), limits.horizontal_acceleration_m_s2)
+
+
 class LimitsGate:
     """Bounds setpoints. Remembers the last one, since some things may change only so fast."""
 
@@ -46,7 +56,7 @@ class LimitsGate:
     def bound_by(self, config: LimitsConfig) -> None:
         """Other bounds from now on; what was sent last stays known, and bounds the change."""
         self._config = config
-        self._by_tilt_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(config.tilt_deg))
+        self._by_tilt_m_s2, self._aside_m_s2 = by_tilt_m_s2(config), aside_m_s2(config)
 
     def reset(self) -> None:
         """Start again: the next setpoint is bounded in size, and in change from nothing."""
@@ -119,8 +129,7 @@ class LimitsGate:
         pressed_m_s2: float,
         on_ground: bool,
     ) -> Vector3:
-        side = min(self._config.horizontal_acceleration_m_s2, self._by_tilt_m_s2)
-        x, y = _within(acceleration[0], acceleration[1], side, "horizontal_acceleration", broken)
+        x, y = _within(acceleration[0], acceleration[1], self._aside_m_s2, "horizontal_acceleration", broken)
         bound = self._config.vertical_acceleration_m_s2
         most = GRAVITY_M_S2 if on_ground else bound
         z = _between(acceleration[2], -bound - pressed_m_s2, most, "vertical_acceleration", broken)

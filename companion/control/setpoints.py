@@ -204,8 +204,4 @@ def _upward_share(acceleration_m_s2: Vector3) -> float:
 
 def _share(acceleration_m_s2: float, gain_1_s: float, most_m_s: float) -> float:
     """The velocity offset (m/s) that the autopilot's loop turns into an acceleration, within a bound."""
-    return _clamp(acceleration_m_s2 / gain_1_s, most_m_s) if gain_1_s > 0.0 else 0.0
-
-
-def _clamp(value: float, bound: float) -> float:
-    return max(-bound, min(bound, value))
+    return max(-most_m_s, min(most_m_s, acceleration_m_s2 / gain_1_s)) if gain_1_s > 0.0 else 0.0

@@ -70,7 +70,7 @@ class ThrustGuard:
             return
         self._falls_since_s = now_s if self._falls_since_s is None else self._falls_since_s
         if now_s - self._falls_since_s >= FALLS_S and not self.fault:
-            thrust = self._plant.hover_thrust
+            thrust = self._plant.hover.value
             self._fell = self.fault = (
                 f"sinks {sink_m_s - planned_m_s:.1f} m/s faster than planned, hover thrust {thrust:.2f}"
             )

@@ -13,9 +13,10 @@ import math
 
 import numpy as np
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, vector3
+from companion.base.geometry import ZERO3, Vector3, add, vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig, PidGains
+from companion.control.limits import aside_m_s2
 from companion.control.response.flight_model import advance
 from companion.control.tracking import SolveOutcome, Target, TrackingSolution
 
@@ -30,10 +31,8 @@ class PidTracker:
         self._steps, self._step_s = config.horizon_steps, config.step_s
         self._period_s = 1.0 / config.rate_hz
         self._lags_s = lags_s
-        limits = config.limits
-        by_tilt = GRAVITY_M_S2 * math.tan(math.radians(limits.tilt_deg))
-        self._horizontal = min(by_tilt, limits.horizontal_acceleration_m_s2)
-        self._vertical = limits.vertical_acceleration_m_s2
+        self._horizontal = aside_m_s2(config.limits)
+        self._vertical = config.limits.vertical_acceleration_m_s2
         self._integral: Vector3 = ZERO3
 
     def reset(self) -> None:

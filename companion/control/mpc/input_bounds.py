@@ -14,6 +14,7 @@ import numpy as np
 
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import LimitsConfig
+from companion.control.limits import aside_m_s2
 
 # normals of four directions 45 degrees apart: with both signs, an octagon
 OCTAGON: Final = np.array([(math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)) for k in range(4)])
@@ -21,7 +22,7 @@ EIGHT: Final = np.vstack([OCTAGON, -OCTAGON])
 # an octagon with this share of a circle's radius to its sides lies within the circle
 OCTAGON_WITHIN_CIRCLE: Final = math.cos(math.pi / 8)
 FOUR: Final = EIGHT[::2]  # every second one
-INPUT_ROWS: Final = 4 + 1 + 8 + 4  # horizontal, vertical, tilt, thrust
+INPUT_ROWS: Final = len(OCTAGON) + 1 + len(EIGHT) + len(FOUR)  # horizontal, vertical, tilt, thrust
 # whatever hover thrust has been learnt, the vehicle may at least rise and sink by this share of g
 LEAST_ROOM: Final = 0.1
 
@@ -46,7 +47,7 @@ def input_bounds(
     what is flown: bounded with it, a vehicle in a falling gust keeps the bound and falls.
     Zero lies inside with room to spare, whatever the numbers: the vehicle may always hover.
     """
-    side = min(GRAVITY_M_S2 * _tangent(limits), limits.horizontal_acceleration_m_s2) * OCTAGON_WITHIN_CIRCLE
+    side = aside_m_s2(limits) * OCTAGON_WITHIN_CIRCLE
     room = LEAST_ROOM * GRAVITY_M_S2
     sink = max(room, GRAVITY_M_S2 * (1.0 - limits.minimum_thrust / hover_thrust))
     most = max(GRAVITY_M_S2 + room, GRAVITY_M_S2 * limits.maximum_thrust / hover_thrust)

@@ -171,16 +171,16 @@ class Mpc:
         limits, rows = config.limits, self._rows
         count = rows["floor"].stop
         self._l, self._u = np.full(count, -np.inf), np.full(count, np.inf)
-        speed = limits.horizontal_speed_m_s * OCTAGON_WITHIN_CIRCLE
+        speed, jerk_m_s3 = limits.horizontal_speed_m_s * OCTAGON_WITHIN_CIRCLE, JERK_SHARE * limits.jerk_m_s3
         for name, low, high in (
-            ("change", -JERK_SHARE * limits.jerk_m_s3 * self._dt, JERK_SHARE * limits.jerk_m_s3 * self._dt),
+            ("change", -jerk_m_s3 * self._dt, jerk_m_s3 * self._dt),
             ("speed", -speed, speed),
             ("vertical_speed", -limits.climb_speed_m_s, limits.descent_speed_m_s),
         ):
             self._l[rows[name]], self._u[rows[name]] = low, high
         self._l[rows["dynamics"]] = self._u[rows["dynamics"]] = 0.0
-        self._later_changes = JERK_SHARE * limits.jerk_m_s3 * self._dt * np.arange(self._N)
-        self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
+        self._later_changes = jerk_m_s3 * self._dt * np.arange(self._N)
+        self._first_change = jerk_m_s3 * self._period_s
         self._input_rows = input_rows(limits)
         self._tilt_tangent = math.tan(math.radians(limits.tilt_deg))
         self._bounded_for = math.nan, 0.0

@@ -33,25 +33,17 @@ class SentCommand:
 class CommandHistory:
     """The last commands, and the acceleration that the autopilot's velocity loop makes of them.
 
-    `full_thrust_m_s2`: the acceleration that full thrust is believed to be worth.
+    `commands` has the newest last; `full_thrust_m_s2` is what full thrust is believed to be worth.
     """
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
         self.full_thrust_m_s2 = 0.0
-        self._commands: deque[SentCommand] = deque(maxlen=REMEMBERED)
-
-    def clear(self) -> None:
-        """Forget all."""
-        self._commands.clear()
-
-    def add(self, command: SentCommand) -> None:
-        """Append the newest command."""
-        self._commands.append(command)
+        self.commands: deque[SentCommand] = deque(maxlen=REMEMBERED)
 
     def last_effect(self, velocity_m_s: Vector3) -> Vector3 | None:
         """What the newest command makes the autopilot want at this velocity; None when there is none."""
-        return self.effect(self._commands[-1], velocity_m_s) if self._commands else None
+        return self.effect(self.commands[-1], velocity_m_s) if self.commands else None
 
     def effect(self, command: SentCommand, velocity_m_s: Vector3) -> Vector3:
         """Acceleration (m/s2) that the autopilot wants under a command at a velocity."""
@@ -66,7 +58,7 @@ class CommandHistory:
         """Pieces (duration, command in effect) of the time between; None before the first takes effect."""
         pieces: list[tuple[float, SentCommand | None]] = []
         ends_s = to_s
-        for command in reversed(self._commands):  # the newest alone matter
+        for command in reversed(self.commands):  # the newest alone matter
             if ends_s <= from_s:
                 break
             begins_s = max(from_s, command.sent_s + self._delay_s)

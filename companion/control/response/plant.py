@@ -54,13 +54,14 @@ class Plant:
         self._gains = {
             heard: velocity_gains(vehicle, config, autopilot_kind, sideways=heard) for heard in (True, False)
         }
-        self._raises_thrust = PROFILES[autopilot_kind].raises_thrust_by_tilt
+        self.gains_1_s = self._gains[self._by_velocity]  # of the autopilot's loops, by our own setpoints
+        self.raises_thrust = PROFILES[autopilot_kind].raises_thrust_by_tilt
         self._history = CommandHistory(config.command_delay_s)
         sensor_lag_s, most = config.acceleration_estimate_lag_s, config.maximum_disturbance_m_s2
         sideways = LASTING_SHARE * loop_rad_s(config.horizontal)
         down = LASTING_DOWN_SHARE[flown_kind(config)] * loop_rad_s(config.vertical)
         bandwidths = (sideways, sideways, 0.0 if self.by_attitude else down)
-        self._lasting = SlowDisturbanceObserver(lags_s, sensor_lag_s, most, bandwidths)
+        self.lasting = SlowDisturbanceObserver(lags_s, sensor_lag_s, most, bandwidths)
         self._wind = WindObserver(sensor_lag_s, most)
         self.hover = HoverThrust(vehicle.hover_thrust, down, TOLD_STD if measures_thrust else 0.0)
         self._held = HeldThrust(lags_s[2], sensor_lag_s)
@@ -70,7 +71,7 @@ class Plant:
     @property
     def disturbance_ned_m_s2(self) -> Vector3:
         """What disturbs it besides the command (m/s2, NED)."""
-        return add(self._wind.wind_ned_m_s2, self._lasting.lasting_ned_m_s2)
+        return add(self._wind.wind_ned_m_s2, self.lasting.lasting_ned_m_s2)
 
     @property
     def mean_disturbance_ned_m_s2(self) -> Vector3:
@@ -78,32 +79,22 @@ class Plant:
 
         An IMU that hung in the middle of a vibration has hardly touched it.
         """
-        return add(self._wind.mean_wind_ned_m_s2, self._lasting.lasting_ned_m_s2)
+        return add(self._wind.mean_wind_ned_m_s2, self.lasting.lasting_ned_m_s2)
 
     @property
     def disturbance_ahead_ned_m_s2(self) -> Vector3:
         """The same (m/s2, NED) when what is commanded now is flown."""
         wind = self._wind.ahead_ned_m_s2(self._answers_s)
-        return add(wind, self._lasting.lasting_ned_m_s2)
-
-    @property
-    def lasting_disturbance_ned_m_s2(self) -> Vector3:
-        """The part of it that no wind explains (m/s2, NED)."""
-        return self._lasting.lasting_ned_m_s2
+        return add(wind, self.lasting.lasting_ned_m_s2)
 
     @property
     def acceleration_ned_m_s2(self) -> Vector3:
         """Flown acceleration (m/s2, NED): sideways what tilt and wind make, as measured."""
         x, y, _ = subtract(
-            add(self._wind.thrust_ned_m_s2, self._wind.wind_ned_m_s2), self._lasting.bias_ned_m_s2
+            add(self._wind.thrust_ned_m_s2, self._wind.wind_ned_m_s2), self.lasting.bias_ned_m_s2
         )
-        down = add(self._lasting.made_ned_m_s2, self._lasting.lasting_ned_m_s2)[2]
+        down = add(self.lasting.made_ned_m_s2, self.lasting.lasting_ned_m_s2)[2]
         return (x, y, down)
-
-    @property
-    def hover_thrust(self) -> float:
-        """Share of full thrust that carries the weight, as learnt."""
-        return self.hover.value
 
     def begin(self, vehicle: VehicleState) -> None:
         """Start again, nothing commanded: the tilt it has is against the wind, or into a turn.
@@ -114,9 +105,9 @@ class Plant:
         self._wind.reset()
         self._wind.step(vehicle, 0.0)
         met = scale(self._wind.wind_ned_m_s2, -1.0) if self._by_velocity else ZERO3
-        self._lasting.start(vehicle.velocity_ned_m_s, subtract(self._wind.thrust_ned_m_s2, met), met)
+        self.lasting.start(vehicle.velocity_ned_m_s, subtract(self._wind.thrust_ned_m_s2, met), met)
         self._observed_s = vehicle.time_s
-        self._history.clear()
+        self._history.commands.clear()
 
     def observe(
         self, vehicle: VehicleState, elapsed_s: float, *, learns: bool = True, feet_near: bool = False
@@ -128,14 +119,14 @@ class Plant:
         soon as the vehicle rises, which would first take back the thrust that was given up for it.
         """
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
-            self._lasting.predict(self._wanted(command, vehicle), duration_s)
+            self.lasting.predict(self._wanted(command, vehicle), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)
         acceleration = vehicle.acceleration_ned_m_s2
         self._wind.step(vehicle, elapsed_s)
         if not learns:
-            self._lasting.keep(vehicle.velocity_ned_m_s)
+            self.lasting.keep(vehicle.velocity_ned_m_s)
             return
-        self._lasting.correct(
+        self.lasting.correct(
             vehicle.velocity_ned_m_s,
             acceleration,
             self._wind.late_thrust_ned_m_s2,
@@ -143,7 +134,7 @@ class Plant:
             feet_near=feet_near,
         )
         if self.by_attitude:
-            made_m_s2 = self._lasting.delayed_response_down_m_s2
+            made_m_s2 = self.lasting.delayed_response_down_m_s2
             self._weigh(
                 self.hover.correct(
                     acceleration[2], made_m_s2, elapsed_s, follows_gusts=True, feet_near=feet_near
@@ -156,13 +147,13 @@ class Plant:
         ours = vehicle.time_s - self._weighed_s < LONGEST_STEP_S
         acting = self._held.step(None if ours else thrust, elapsed_s)
         if acting is not None:
-            down = 1.0 if self._raises_thrust else math.cos(tilt_from_quat(vehicle.attitude))
+            down = 1.0 if self.raises_thrust else math.cos(tilt_from_quat(vehicle.attitude))
             made_m_s2 = GRAVITY_M_S2 * (1.0 - acting * down / self.hover.value)
             self._weigh(self.hover.correct(vehicle.acceleration_ned_m_s2[2], made_m_s2, elapsed_s))
 
     def _weigh(self, changed: float) -> None:
         """Thrust is worth so much more than it was believed to be, and what it made with it."""
-        self._lasting.scale_thrust(changed)
+        self.lasting.scale_thrust(changed)
         self._history.full_thrust_m_s2 = GRAVITY_M_S2 / self.hover.value
 
     def carry(self, motion: Motion, from_s: float, to_s: float) -> Motion:
@@ -185,10 +176,10 @@ class Plant:
         else:
             thrust = quat_rotate(setpoint.attitude, (0.0, 0.0, -setpoint.thrust))
             command = SentCommand(setpoint.time_s, ZERO3, thrust=thrust)
-        self._history.add(command)
+        self._history.commands.append(command)
 
     def _wanted(self, command: SentCommand | None, vehicle: VehicleState) -> Vector3:
         """What the autopilot wants in a piece of time; before the first command, what it makes already."""
         if command is None:
-            return self._lasting.made_ned_m_s2
+            return self.lasting.made_ned_m_s2
         return self._history.effect(command, vehicle.velocity_ned_m_s)
