@@ -30,7 +30,7 @@ from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.adaptive_feedforward import AdaptiveFeedforward
 from companion.control.limits import LimitsGate
-from companion.control.mpc.target import HeadingReference, make_target, stop_reference, within_reach
+from companion.control.mpc.target import make_target, stop_reference, within_reach
 from companion.control.pad_prediction import PadPrediction, origin_at_rest, predict_pad
 from companion.control.response.fitting import fitted
 from companion.control.response.flight_model import advance, flown_kind, lags
@@ -105,7 +105,7 @@ class Controller:
         self.thrust = ThrustGuard(self._plant, vehicle, measures=measures_thrust)
         self._gate = LimitsGate(config.limits)
         self._feedforward = AdaptiveFeedforward(config.horizontal)
-        self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
+        self._heading, self._turns_rad_s = Heading(0.0), math.radians(config.limits.heading_rate_deg_s)
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
         self._stepped_s: float | None = None
         self._asked_down_m_s2: float | None = None  # while thrust is taken away beside it
@@ -155,7 +155,7 @@ class Controller:
         if vehicle is None:
             return self._rest(plan.reference, pad, now_s) if plan.on_ground else None
         elapsed_s = self._elapsed(vehicle, now_s)
-        self._heading.step(plan.reference.heading_rad, elapsed_s)
+        self._heading = self._heading.after(elapsed_s, plan.reference.heading_rad, self._turns_rad_s)
         if plan.on_ground:
             return self._rest(plan.reference, pad, now_s)
         heard_again = self._given_up and not link.gave_up_setpoints
@@ -178,7 +178,7 @@ class Controller:
         last_s, self._stepped_s = self._stepped_s, now_s
         if last_s is not None and 0.0 <= now_s - last_s < RESTART_AFTER_S:
             return now_s - last_s
-        self._heading.reset(yaw_from_quat(vehicle.attitude))
+        self._heading = Heading.at(yaw_from_quat(vehicle.attitude))
         self._gate.reset()
         self.thrust.reset()
         self._flying = False
@@ -217,7 +217,7 @@ class Controller:
             (*velocity[:2], sink_m_s or 0.0),
             ZERO3 if followed is None else followed.acceleration_ned_m_s2,
             plant.mean_disturbance_ned_m_s2,
-            self._heading_command(),
+            self._heading,
         )
         setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
         return setpoint, ControlReport(
@@ -235,7 +235,7 @@ class Controller:
         self, reference: Reference, pad: PadState | None, now_s: float
     ) -> tuple[Setpoint, ControlReport]:
         self._flying = False
-        setpoint = ground_setpoint(now_s, self._config, pad, self._heading_command())
+        setpoint = ground_setpoint(now_s, self._config, pad, self._heading)
         setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s, on_ground=True)
         return setpoint, ControlReport(now_s, solved=True, iterations=0, solve_s=0.0, limited=limited)
 
@@ -332,7 +332,7 @@ class Controller:
         return _Start(times_s, self._plant.carry(motion, from_s, effect_s), prediction)
 
     def _setpoint(self, motion: Motion, solution: TrackingSolution, now_s: float) -> Setpoint:
-        plant, look = self._plant, self._heading_command()
+        plant, look = self._plant, self._heading
         if self._stopped:
             return stop_setpoint(now_s, look)
         u = vector3(solution.inputs_m_s2[0].tolist())
@@ -361,9 +361,6 @@ class Controller:
             flown = advance(motion, add(asked, disturbance), period_s, self._lags_s).acceleration_m_s2
             thrust = subtract(flown, disturbance)
         return tilt_compensation(thrust, asked, math.radians(self._config.limits.tilt_deg))
-
-    def _heading_command(self) -> Heading:
-        return Heading(self._heading.heading_rad, self._heading.rate_rad_s)
 
 
 def _seen(setpoint: Setpoint, reference: Reference, pad: PadState | None) -> Setpoint:

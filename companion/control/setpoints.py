@@ -13,13 +13,15 @@ effect of an offset of v_sp, which closes a loop that has to be slow.
 NED and FRD, SI units.
 """
 
+from __future__ import annotations
+
 import math
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract, wrap_angle
 from companion.base.messages import PadState, Reference, Setpoint
 from companion.base.motion import Motion
 from companion.config import ControlConfig
@@ -34,18 +36,34 @@ GROUND_THRUST: Final = 0.0  # on the ground: ArduPilot has landed at none alone
 # With it and `ground_descent_m_s` PX4's velocity loop (MPC_Z_VEL_P_ACC 4) asks for 9 m/s2 down: its least
 # thrust. A horizontal velocity loop beside it would turn the least error into a large tilt of what is left.
 GROUND_PRESS_M_S2: Final = 5.0
+HEADING_RATE_SMOOTHING_S: Final = 0.4  # a dozen sightings at 30 Hz; judged
 # A reference that waits over the pad moves by less.
 _SINKS_M_S: Final = 0.05
 # Blind it goes down nearly as firmly as the final descent ever does: what it does not see adds up.
 _BLIND_SINK_M_S: Final = 0.3
 
 
-@dataclass(frozen=True, slots=True)
-class Heading:
+class Heading(NamedTuple):
     """Where to look (rad) and how fast that turns (rad/s)."""
 
     heading_rad: float
     rate_rad_s: float = 0.0
+
+    @staticmethod
+    def at(heading_rad: float) -> Heading:
+        """Not turning; to the north where it is no number."""
+        return Heading(heading_rad if math.isfinite(heading_rad) else 0.0)
+
+    def after(self, elapsed_s: float, wanted_rad: float, most_rad_s: float) -> Heading:
+        """Turned towards the wanted heading, the shorter way and no faster than allowed."""
+        if elapsed_s <= 0.0 or not math.isfinite(wanted_rad):
+            return self
+        most = most_rad_s * elapsed_s
+        change = max(-most, min(most, wrap_angle(wanted_rad - self.heading_rad)))
+        # the estimate of the pad's heading is noisy: its slope is of use only when smoothed
+        share = -math.expm1(-elapsed_s / HEADING_RATE_SMOOTHING_S)
+        rate_rad_s = self.rate_rad_s + share * (change / elapsed_s - self.rate_rad_s)
+        return Heading(wrap_angle(self.heading_rad + change), rate_rad_s)
 
 
 def resolved(config: ControlConfig, autopilot_kind: AutopilotKind) -> ControlConfig:

@@ -10,12 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, subtract, vector3, wrap_angle
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, subtract, vector3
 from companion.base.messages import LevelOff, Reference
 from companion.control.pad_prediction import PadPrediction
 from companion.control.tracking import Cone, Target
-
-HEADING_RATE_SMOOTHING_S = 0.4  # a dozen sightings at 30 Hz; judged
 
 
 def sample(reference: Reference, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -93,27 +91,3 @@ def stop_reference(time_s: float, position_ned_m: Vector3, heading_rad: float) -
     """A local reference that stands still at a position."""
     still = np.zeros((1, 3))
     return Reference(time_s, "local", 1.0, np.array([position_ned_m]), still, still, heading_rad)
-
-
-class HeadingReference:
-    """Follows the plan's heading no faster than allowed, and gives the rate at which it turns (rad/s)."""
-
-    def __init__(self, maximum_rate_rad_s: float) -> None:
-        self._maximum_rate_rad_s = maximum_rate_rad_s
-        self.reset(0.0)
-
-    def reset(self, heading_rad: float) -> None:
-        """Begin at a heading, not turning."""
-        self.heading_rad = heading_rad if math.isfinite(heading_rad) else 0.0
-        self.rate_rad_s = 0.0
-
-    def step(self, wanted_rad: float, elapsed_s: float) -> None:
-        """Turn towards the wanted heading, the shorter way."""
-        if elapsed_s <= 0.0 or not math.isfinite(wanted_rad):
-            return
-        most = self._maximum_rate_rad_s * elapsed_s
-        change = max(-most, min(most, wrap_angle(wanted_rad - self.heading_rad)))
-        self.heading_rad = wrap_angle(self.heading_rad + change)
-        # the estimate of the pad's heading is noisy: its slope is of use only when smoothed
-        share = -math.expm1(-elapsed_s / HEADING_RATE_SMOOTHING_S)
-        self.rate_rad_s += share * (change / elapsed_s - self.rate_rad_s)

@@ -26,9 +26,10 @@ from companion.control.mpc.qp import (
     cost_matrix,
     step_matrices,
 )
-from companion.control.mpc.target import HeadingReference, make_target, sample, stop_reference, within_reach
+from companion.control.mpc.target import make_target, sample, stop_reference, within_reach
 from companion.control.pad_prediction import PadPrediction, origin_at_rest
 from companion.control.response.flight_model import advance, discretise
+from companion.control.setpoints import Heading
 from companion.control.solver_health import ACCEPTED_PRIMAL
 from companion.control.tracking import Cone, SolveOutcome, Target, needed_inputs
 
@@ -658,27 +659,21 @@ def test_a_local_reference_knows_no_floor_over_the_pad() -> None:
 
 @pytest.mark.parametrize("wanted_deg", [170.0, -170.0])
 def test_heading_turns_no_faster_than_allowed_and_the_shorter_way(wanted_deg: float) -> None:
-    heading = HeadingReference(0.5)
-    heading.reset(math.radians(-160.0))
-    heading.step(math.radians(wanted_deg), 0.1)
+    heading = Heading(math.radians(-160.0)).after(0.1, math.radians(wanted_deg), 0.5)
     assert math.remainder(heading.heading_rad - math.radians(-160.0), math.tau) == pytest.approx(-0.05)
 
 
 def test_heading_rate_follows_a_steady_turn() -> None:
-    heading = HeadingReference(1.0)
+    heading = Heading(0.0)
     for k in range(120):
-        heading.step(0.3 * (k + 1) / 30.0, 1.0 / 30.0)
+        heading = heading.after(1.0 / 30.0, 0.3 * (k + 1) / 30.0, 1.0)
     assert heading.rate_rad_s == pytest.approx(0.3, abs=0.01)
     assert heading.heading_rad == pytest.approx(1.2)
 
 
 def test_heading_stays_when_the_wish_is_no_number() -> None:
-    heading = HeadingReference(1.0)
-    heading.reset(0.4)
-    heading.step(math.nan, 0.1)
-    assert heading.heading_rad == 0.4
-    heading.reset(math.nan)
-    assert heading.heading_rad == 0.0
+    assert Heading.at(0.4).after(0.1, math.nan, 1.0) == Heading(0.4)
+    assert Heading.at(math.nan) == Heading(0.0)
 
 
 def test_a_far_reference_is_drawn_within_reach_as_a_whole_and_keeps_its_floor() -> None:
