@@ -58,32 +58,6 @@ class StepNoise(NamedTuple):
 STEADY: Final = StepNoise()
 
 
-class VibrationMonitor:
-    """The root mean square of what alternates from sample to sample, all axes together."""
-
-    def __init__(self) -> None:
-        self._last: Vector3 = ZERO3
-        self._before: Vector3 = ZERO3
-        self._samples = 0
-        self._mean_square = 0.0
-
-    def add(self, specific_force_m_s2: Vector3, dt_s: float) -> None:
-        """Take a sample, dt_s after the one before."""
-        (x, y, z), (lx, ly, lz), (bx, by, bz) = specific_force_m_s2, self._last, self._before
-        x, y, z = x - lx * 2.0 + bx, y - ly * 2.0 + by, z - lz * 2.0 + bz
-        self._before, self._last = self._last, specific_force_m_s2
-        self._samples += 1
-        if self._samples > 2:
-            k = dt_s / (MEMORY_S + dt_s)
-            square = x * x + y * y + z * z
-            self._mean_square += k * (square / _SECOND_DIFFERENCE_VARIANCE - self._mean_square)
-
-    @property
-    def rms_m_s2(self) -> float:
-        """The vibration's root mean square (m/s²)."""
-        return math.sqrt(self._mean_square)
-
-
 class SlowNoise:
     """The density of the noise (an axis) below some 30 Hz, which a sum of samples keeps, of force and rate.
 
@@ -154,8 +128,10 @@ class ImuNoise:
 
     def __init__(self, config: EkfConfig) -> None:
         self._config = config
-        self._vibration, self._slow = VibrationMonitor(), SlowNoise()
+        self._slow = SlowNoise()
         self._rate: Vector3 = ZERO3
+        self._last = self._before = ZERO3  # two forces, of as many samples
+        self._samples, self._vibration_m2_s4 = 0, 0.0  # the mean square, of all axes together
         self._dt_s = math.inf
 
     def add(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> None:
@@ -163,14 +139,25 @@ class ImuNoise:
         if dt_s > GAP_STEPS * self._dt_s:
             self._slow.skip_gap()
         self._dt_s = dt_s
-        self._vibration.add(specific_force_m_s2, dt_s)
+        self._shake(specific_force_m_s2, dt_s)
         self._slow.add(specific_force_m_s2, rate_body_rad_s, dt_s)
         self._rate = between(self._rate, rate_body_rad_s, dt_s / (LASTING_S + dt_s))
+
+    def _shake(self, force: Vector3, dt_s: float) -> None:
+        """Take what alternates from sample to sample for vibration."""
+        (x, y, z), (lx, ly, lz), (bx, by, bz) = force, self._last, self._before
+        x, y, z = x - lx * 2.0 + bx, y - ly * 2.0 + by, z - lz * 2.0 + bz
+        self._before, self._last = self._last, force
+        self._samples += 1
+        if self._samples > 2:
+            k = dt_s / (MEMORY_S + dt_s)
+            square = x * x + y * y + z * z
+            self._vibration_m2_s4 += k * (square / _SECOND_DIFFERENCE_VARIANCE - self._vibration_m2_s4)
 
     @property
     def now(self) -> StepNoise:
         """Of a step that ends with the newest sample."""
-        rms_m_s2 = self._vibration.rms_m_s2
+        rms_m_s2 = math.sqrt(self._vibration_m2_s4)
         return StepNoise(
             self._slow.force_density_m2_s3,
             max(SHAKING_SHARE * (rms_m_s2 - self._config.shaking_bound_m_s2), 0.0),
