@@ -226,7 +226,7 @@ class LoopMonitor:
     def load(self) -> ComputerLoad:
         """Whether the computer keeps up, for the planner."""
         latest_s = max(self._late_s, default=0.0)
-        return ComputerLoad(self._too_slow(latest_s), latest_s, self.woke)
+        return ComputerLoad(self._too_slow(latest_s), latest_s, next(reversed(self._late_s), 0.0), self.woke)
 
     def _too_slow(self, latest_s: float) -> str | None:
         """In words, that it is too slow to fly by. One stall is not: what stands still again and again is."""

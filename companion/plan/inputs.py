@@ -1,6 +1,6 @@
 """The inputs of the planner in one cycle."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from companion.base.messages import (
@@ -23,11 +23,13 @@ LONGEST_CYCLE_S: Final = 0.1  # a cycle that lasts longer counts as one of this
 class ComputerLoad:
     """Whether our computer keeps up: why it is too slow to fly by; how long control stood still lately.
 
-    `woke`: this cycle is the first after the machine was suspended.
+    `late_s`: how long it stood still before this cycle. `woke`: this cycle is the first after the machine was
+    suspended.
     """
 
     problem: str | None = None
     held_up_s: float = 0.0
+    late_s: float = 0.0
     woke: bool = False
 
 
@@ -58,3 +60,8 @@ class PlanInputs:
     thrust_doubt: str = ""
     setup_problem: str = ""
     link: LinkHealth = field(default_factory=LinkHealth)
+
+    @property
+    def unheard(self) -> bool:
+        """Whether the autopilot may have flown by itself: the link is silent, or the app sent it nothing."""
+        return self.link.silent or replace(self.link, silent_s=self.computer.late_s).silent

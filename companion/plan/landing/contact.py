@@ -119,26 +119,27 @@ class LandDetector:
     def off_by_itself(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
         """Why it is not on the pad, though we had it pressed down; "" while it may be. Once a cycle.
 
-        An autopilot that no setpoint reaches flies by itself: it levels and holds its height, over a pad that
-        moves on. So a silence makes the contact `doubted`, until rest is proven anew or the autopilot has
-        landed. Then only a pad that is seen, where it was seen while we were heard, shows the feet down: an
-        echo tells a hand's breadth over it from standing on it no better than the leg height is known.
+        An autopilot that no setpoint reaches, for the link is silent or we stood still, flies by itself: it
+        levels and holds its height, over a pad that moves on. That makes the contact `doubted`, until rest is
+        proven anew or the autopilot has landed. Then only a pad that is seen, where it was seen while we were
+        heard, shows the feet down: an echo tells a hand's breadth over it from standing on it no better than
+        the leg height is known.
         While the IMU is silent too (it may come by the same link), an unseen pad does not show that it left.
         """
         able = self._held.held_s("able", imu_fresh(inputs.vehicle, now_s), now_s) >= FRESH_S
         landed = inputs.autopilot.landed is LandedState.ON_GROUND
-        self.doubted = not landed and (self.doubted or inputs.link.silent)
+        self.doubted = not landed and (self.doubted or inputs.unheard)
         seen = sight if sight is not None and sight.unseen_s <= UNSEEN_S else None
         if not self.doubted:
             self._stood_m = self._stood_m if seen is None else min(seen.clearance_m, self._feet_m)
             return ""
         if seen is None:
-            return "link silent, contact not confirmed" if able else ""
+            return "setpoints stopped, contact not confirmed" if able else ""
         surely_m = seen.clearance_m - SIGMA_THRESHOLD * seen.height_std_m
         # the camera sees a millimetre: from half the margin it falls with 0.4 m/s, from 3 cm with 0.8
         risen = surely_m > self._stood_m + 0.5 * self._config.contact_margin_m
         again = self._held.held_s("risen", risen, seen.seen_time_s) > 0.0  # in one sighting more
-        return "link silent: the vehicle left the pad" if again else ""
+        return "setpoints stopped: the vehicle left the pad" if again else ""
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Detect a landing: by the autopilot, by rest on the pad, or that nothing proves it."""

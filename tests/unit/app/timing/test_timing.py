@@ -368,7 +368,7 @@ async def test_a_computer_that_is_too_slow_says_so(
         await pace.rest(vision_s)
     for k in range(30):
         monitor.turn(late_s[k % len(late_s)], PERIOD_S)
-    assert monitor.load == ComputerLoad(words, max(late_s))
+    assert monitor.load == ComputerLoad(words, max(late_s), late_s[29 % len(late_s)])
 
 
 # ---------------- Vision takes fewer frames before control is late, in announced steps

@@ -6,10 +6,18 @@ from dataclasses import replace
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2
-from companion.base.messages import ActionKind, AutopilotState, LandedState, LinkHealth, PadState, Phase
+from companion.base.messages import (
+    ActionKind,
+    AutopilotState,
+    LandedState,
+    LinkHealth,
+    PadState,
+    Phase,
+    RangeSample,
+)
 from companion.config import TouchdownConfig
 from companion.plan.events import MissionEvent
-from companion.plan.inputs import PlanInputs
+from companion.plan.inputs import ComputerLoad, PlanInputs
 from companion.plan.landing.contact import LandDetector
 from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sight
@@ -80,6 +88,20 @@ def heard(now_s: float, silent_s: float = 0.0) -> PlanInputs:
     """What a standing vehicle knows besides the pad, `silent_s` after the autopilot's last sign."""
     autopilot = AutopilotState(now_s, landed=LandedState.IN_AIR)
     return PlanInputs(vehicle_state(now_s), None, autopilot, link=LinkHealth(silent_s))
+
+
+@pytest.mark.parametrize(("held_up_s", "leaves"), [(0.3, False), (0.5, True), (10.0, True)])
+def test_an_app_that_was_held_up_on_the_pad_believes_no_echo_that_it_still_stands(
+    held_up_s: float, leaves: bool
+) -> None:
+    standing, why = LandDetector(TouchdownConfig(), VEHICLE, 0.0), ""
+    for k in range(30):
+        now_s = k * CYCLE_S
+        computer = ComputerLoad(held_up_s=held_up_s, late_s=held_up_s if k == 15 else 0.0)
+        echo = RangeSample(now_s, LEG_M - VEHICLE.range_position_body_m[2])
+        inputs = replace(heard(now_s), computer=computer, range=echo)
+        why = why or standing.off_by_itself(None, inputs, now_s)
+    assert (why != "") is leaves
 
 
 def test_the_motors_are_stopped_a_second_after_the_contact_though_the_autopilot_doubts_it() -> None:
