@@ -42,7 +42,7 @@ class MissionEvent(StrEnum):
     LANDING_DETECTED = "landing_detected"  # by the autopilot
     AT_REST = "at_rest"  # shown to rest on the pad, without the autopilot's word
     UNPROVEN = "unproven"  # neither, and nothing shows the feet down
-    PAD_GONE = "pad_gone"  # lost without room to rise, or a height says down and nothing is felt: LAND
+    PAD_GONE = "pad_gone"  # lost without room to rise, or a height says down and no sink is felt: LAND
     OFF_PAD = "off_pad"  # it does not stay: the pad is well below or slides, or a silent link may have it off
     PAD_LOST = "pad_lost"
     GROUND_NEAR = "ground_near"  # echoes far nearer than the pad's estimate: the estimate is wrong

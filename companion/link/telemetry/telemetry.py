@@ -136,7 +136,7 @@ def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> Autopi
     kept = mode == state.mode or message.system_status == mavlink.MAV_STATE_CRITICAL
     profile = None if autopilot_kind is None else PROFILES[autopilot_kind]
     reports_outputs = profile is not None and profile.reports_outputs
-    # PX4 says it here, ArduPilot in SYS_STATUS
+    # PX4 says it here, its kill switch too; ArduPilot in SYS_STATUS
     terminated = message.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION
     cut = terminated or (reports_outputs and state.motors_cut)
     # its filter's report is asked for: until that comes it is not known to be ready

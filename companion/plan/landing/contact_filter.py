@@ -125,8 +125,8 @@ class ContactFilter:
     `unloading`, of the weight, is what the feet are given, within `contact_s`: it grows while they rather
     stand, else it shrinks. What only a gust holds up sinks without its thrust, and is told from what stands;
     feet that carry weight do not slide. It is capped where the feet may be so high that they would fall too
-    fast. All of it is contact at once where a height has the feet down, else once the IMU has felt no fall
-    for as long as a vehicle takes to respond.
+    fast. Once the feet are given all that they may be, that is contact: at once where a height has the feet
+    down, else once the IMU has felt no fall for as long as a vehicle takes to respond.
     """
 
     def __init__(self, config: TouchdownConfig, leg_std_m: float) -> None:

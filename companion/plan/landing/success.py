@@ -4,8 +4,8 @@ At contact the vehicle follows the pad as well as it has done over the last seco
 accelerates (its acceleration times the lag) and a deck that heaves are all in the errors to the reference
 that it has made meanwhile. What it is off by right now goes on as it is until the vehicle responds, and
 fades as a critically damped second order does; what is forgotten of it comes anew from those errors. Shaken
-at random, such an order's offset deviates by its time constant times what its speed deviates by: both are
-in those errors, and an autopilot that wanders slowly is known by them.
+at random, such an order's time constant is the root of the offset's mean square by the speed's: both are in
+those errors, and an autopilot that wanders slowly is known by them.
 
 A swing goes on as it is for a part of its period: from the mean, by the tilt and its rate at the swing's own
 frequency. NED, m, s, rad.

@@ -9,7 +9,7 @@ Its rules:
   control that was released is never taken again in this mission, and nothing more is requested;
   STOP, the bounds and overtime return control to the autopilot, which holds its position; low over the pad
   the vehicle climbs clear first. A lost or disputed estimate, a controller without a plan and a late link
-  leave no time for that;
+  leave no time for that: low down the autopilot is asked to climb;
   COMMITTED states heed, of what may come anywhere, only TAKEN_OVER, DISARMED, TIPPED_OVER, their own
   time and a low battery (no new try), and SINK a lost or disputed estimate and a controller without a plan.
   What lasts acts once a try has failed, as a STOP does, which holds until the mission ends;
@@ -34,7 +34,7 @@ BEFORE_TAKE_OFF: Final = frozenset({S.STANDBY, S.CONNECT, S.ARM})  # in STANDBY 
 IN_AIR: Final = LIVE - BEFORE_TAKE_OFF
 BY_AUTOPILOT: Final = frozenset({S.TAKE_OFF, S.WAYPOINT})
 OVER_PAD: Final = frozenset({S.WAIT, S.RISE})  # waiting for a moment to land
-ON_PAD: Final = frozenset({S.STAND, S.AUTO_LAND})
+ON_PAD: Final = frozenset({S.STAND, S.AUTO_LAND})  # since the contact, shown to stand or not
 GOING_DOWN: Final = frozenset({S.SINK, S.SET_DOWN})  # committed, the feet not yet on the pad
 COMMITTED: Final = ON_PAD | GOING_DOWN
 TOUCHDOWN: Final = OVER_PAD | COMMITTED
