@@ -33,6 +33,7 @@ from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.mode_monitor import in_land, in_offboard
 from companion.plan.mission.readiness import estimate_problems, not_ready
 from companion.plan.mission.requests import Requests
+from companion.plan.mission.shared import Shared
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, State
 from companion.plan.mission.table import (
     BY_THE_PAD,
@@ -44,7 +45,6 @@ from companion.plan.mission.table import (
     StateMachine,
     impossible,
 )
-from companion.plan.shared import Shared
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
 from companion.plan.steering import PhaseSteering
 from companion.plan.trajectory.avoidance import Avoidance

@@ -39,6 +39,7 @@ from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import REMIND_S, Departure
 from companion.plan.mission.hold import Hold
 from companion.plan.mission.readiness import ORDER_EVENTS, refusal
+from companion.plan.mission.shared import Shared
 from companion.plan.mission.states import Authority, Branch, Effect, State
 from companion.plan.mission.table import (
     BY_THE_PAD,
@@ -48,7 +49,6 @@ from companion.plan.mission.table import (
     OVER_PAD_OR_DESCENDING,
 )
 from companion.plan.search.search import Search
-from companion.plan.shared import Shared
 from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6  # wider limits aside in the last try: after it control is returned

@@ -14,8 +14,8 @@ from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.mission.readiness import not_ready_to_arm
+from companion.plan.mission.shared import Shared
 from companion.plan.mission.states import State
-from companion.plan.shared import Shared
 from companion.plan.trajectory.waypoints import places_from_home
 
 REMIND_S = 10.0  # of what is waited for

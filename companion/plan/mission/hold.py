@@ -14,7 +14,7 @@ from companion.base.motion import Motion
 from companion.config import PlanConfig
 from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent
 from companion.plan.landing.relative_state import vehicle_motion
-from companion.plan.shared import Shared
+from companion.plan.mission.shared import Shared
 
 # At rest (m, m/s), as far as gusts let it be: what the autopilot's hold takes over without a swing.
 _AT_REST: Final = 0.3
