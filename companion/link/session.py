@@ -52,13 +52,7 @@ from companion.link.streams import (
 )
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.poses import HeadingOffset, PoseHistory
-from companion.link.telemetry.telemetry import (
-    SendOrder,
-    StatusTexts,
-    add_text,
-    update_state,
-    without_old,
-)
+from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
 from companion.link.timesync import BootClock, TimeSync, clock_ns
 
 # ---------------------------------------------------------------- others on the link
@@ -194,7 +188,7 @@ class Session:
         self._process = process
         self._setup = SetupReader(self._parameters)
         self.rates = TelemetryRates()
-        self._texts, self._order = StatusTexts(), SendOrder()
+        self._texts = StatusTexts()
         self._replies: list[Message] = []
         self._heartbeat_heard_s = -math.inf
         self.heard_s = -math.inf  # when anything of the autopilot's came
@@ -336,10 +330,7 @@ class Session:
         measured_s = self._measured_s(message, message_id, now_s)
         if measured_s is None:
             return
-        before = self.state
-        # what has a time of its own is put in order by that
-        if message_id in _STAMPED or not self._order.overtaken(message, now_s):
-            self.state = update_state(before, message, measured_s)
+        before, self.state = self.state, update_state(self.state, message, measured_s)
         if message_id == mavlink.MAVLINK_MSG_ID_HOME_POSITION and self.state is not before:
             self._home_is_old = False
         if self.poses is not None and self.state.attitude is not None:

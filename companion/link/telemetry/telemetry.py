@@ -42,12 +42,6 @@ _OLDEST_S: Final = 1.5
 # SYS_STATUS is asked for at 2 Hz
 _OLDEST_STATUS_S: Final = 3.0
 
-# Of a datagram that is held up for longer another comes again meanwhile, and a link so late is not flown by
-# (`largest_round_trip_s`). Up to 400 messages a second the sequence number, 8 bits, is sure for so long.
-_HELD_UP_S: Final = 0.3
-# tells the mode, too
-_SAME_VALUES: Final = {CURRENT_MODE: mavlink.MAVLINK_MSG_ID_HEARTBEAT}
-
 # of EKF_STATUS_REPORT: what ArduCopter's position_ok() asks for before it arms in GUIDED
 _EKF_NEEDED: Final = mavlink.EKF_ATTITUDE | mavlink.EKF_VELOCITY_HORIZ
 _EKF_POSITION: Final = mavlink.EKF_POS_HORIZ_ABS | mavlink.EKF_POS_HORIZ_REL
@@ -78,23 +72,6 @@ def without_old(state: AutopilotState, now_s: float) -> AutopilotState:
 def add_text(state: AutopilotState, text: str, time_s: float) -> AutopilotState:
     """The state with one more of the autopilot's texts; the oldest goes."""
     return replace(state, time_s=time_s, texts=(*state.texts, text)[-KEPT_TEXTS:])
-
-
-class SendOrder:
-    """Tells which of one sender's messages of the same values a later one has overtaken (UDP, a router)."""
-
-    def __init__(self) -> None:
-        self._newest: dict[int, tuple[int, float]] = {}  # sequence number, and when it came
-
-    def overtaken(self, message: Message, now_s: float) -> bool:
-        """Whether a message that was sent after this one has been received already."""
-        number, sequence = message.get_msgId(), message.get_seq()
-        values = _SAME_VALUES.get(number, number)
-        newest, came_s = self._newest.get(values, (sequence, -math.inf))
-        if now_s - came_s <= _HELD_UP_S and 0 < (newest - sequence) % 256 < 128:
-            return True
-        self._newest[values] = sequence, now_s
-        return False
 
 
 class StatusTexts:

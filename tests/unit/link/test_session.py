@@ -7,9 +7,9 @@ import pytest
 from pydantic import ValidationError
 
 from companion.base.geometry import quat_from_euler, yaw_from_quat
-from companion.base.messages import LandedState, LandingTargetPose, Setpoint
+from companion.base.messages import LandingTargetPose, Setpoint
 from companion.config import LinkConfig, SenseConfig
-from companion.link.codec import CURRENT_MODE, Codec, heartbeat, mavlink, status_texts
+from companion.link.codec import Codec, heartbeat, mavlink, status_texts
 from companion.link.session import UNHEARD, Session
 from companion.link.streams import telemetry_rates_hz
 from companion.link.timesync import clock_ns
@@ -380,45 +380,3 @@ def test_a_landing_target_is_stamped_by_the_clock_of_timesync() -> None:
     target = LandingTargetPose(123.456, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), (0.1, 0.1))
     (m,) = Codec(9).decode(Session(LinkConfig()).send_landing_target(target))
     assert m.time_usec == clock_ns(123.456) // 1000 == 123_456_000
-
-
-@pytest.mark.parametrize("late", [mavlink.MAVLINK_MSG_ID_HEARTBEAT, CURRENT_MODE])
-@pytest.mark.parametrize("sent_before", [0, 254, 255])
-def test_a_mode_that_a_later_message_overtook_is_the_old_one(late: int, sent_before: int) -> None:
-    # GIVEN a pilot's change of mode, told by the message after the one with the old mode
-    session, autopilot = Session(LinkConfig()), FakeAutopilot(mode="OFFBOARD", armed=True)
-    for _ in range(sent_before):
-        autopilot.codec.encode(autopilot.message(CURRENT_MODE, 9.0))
-    session.receive(autopilot.tick(9.0), 9.0)
-    old = autopilot.codec.encode(autopilot.message(late, 10.0))
-    autopilot.mode = "POSCTL"
-    newer = {CURRENT_MODE, mavlink.MAVLINK_MSG_ID_HEARTBEAT} - {late}
-    session.receive(b"".join(autopilot.codec.encode(autopilot.message(each, 10.0)) for each in newer), 10.0)
-    # WHEN the old one comes THEN the newer mode stays, and the link is heard
-    session.receive(old, 10.05)
-    assert (session.state.mode, session.state.offboard) == ("POSCTL", False)
-    assert (session.state.connected, session.heard_s) == (True, 10.05)
-    # and the next one is taken
-    autopilot.mode = "OFFBOARD"
-    session.receive(autopilot.codec.encode(autopilot.message(CURRENT_MODE, 10.1)), 10.1)
-    assert session.state.mode == "OFFBOARD"
-
-
-def test_an_older_word_on_the_ground_that_comes_later_is_no_landing() -> None:
-    session, autopilot = Session(LinkConfig()), FakeAutopilot(mode="OFFBOARD", armed=True)
-    session.receive(autopilot.tick(9.0), 9.0)
-    extended = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
-    on_ground = autopilot.codec.encode(autopilot.message(extended, 10.0))
-    autopilot.believes_in_air = True
-    session.receive(autopilot.codec.encode(autopilot.message(extended, 10.2)), 10.2)
-    session.receive(on_ground, 10.21)
-    assert session.state.landed is LandedState.IN_AIR
-
-
-def test_an_autopilot_that_counts_from_the_start_again_is_believed_after_the_silence() -> None:
-    session, autopilot = Session(LinkConfig()), FakeAutopilot(mode="OFFBOARD")
-    for _ in range(20):
-        session.receive(autopilot.codec.encode(autopilot.message(0, 9.0)), 9.0)
-    again = FakeAutopilot(mode="POSCTL")
-    session.receive(again.tick(9.5), 9.5)
-    assert session.state.mode == "POSCTL"
