@@ -54,7 +54,7 @@ def tighter(config: TouchdownConfig, share: float) -> TouchdownConfig:
     )
 
 
-class Watched:
+class SuccessWatch:
     """Looks at what is asked of the estimate; at a commit, what it would have said for tighter limits."""
 
     def __init__(self, config: TouchdownConfig) -> None:
@@ -79,7 +79,9 @@ class Watched:
             strict = copy.copy(success)
             fresh = SuccessEstimate(limits)
             strict._config, strict._fastest_m_s = fresh._config, fresh._fastest_m_s
-            self.said.append(math.prod(self._factors(strict, *args, **named).values()))
+            likely = self._factors(strict, *args, **{**named, "slack": 1.0})
+            # the pad's tilt at contact is not judged
+            self.said.append(math.prod(share for limit, share in likely.items() if limit != "pad tilt"))
         self.commits += 1
         self._commit(sequence, now_s)
 
@@ -99,7 +101,7 @@ def fly_landing(number: int) -> dict[str, Any]:
     scenario = Scenario.model_validate(content)
     trial = Trial(Path(f"{scenario.name}.yaml"), scenario, seed)
     config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
-    watch, log = Watched(config.plan.touchdown), FlightLog(None, start_unix_s=0.0)
+    watch, log = SuccessWatch(config.plan.touchdown), FlightLog(None, start_unix_s=0.0)
     with (
         mock.patch.object(SuccessEstimate, "factors", autospec=True, side_effect=watch.factors),
         mock.patch.object(TouchdownSequence, "commit", autospec=True, side_effect=watch.commit),

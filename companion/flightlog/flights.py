@@ -106,18 +106,21 @@ def make_room(root: Path, cap_bytes: float, free_bytes: float, keep: Collection[
     sizes = {path: size_bytes(path) for path in flights}
     removable = sum(sizes[path] for path in flights if path.resolve() not in kept)
     most_free = shutil.disk_usage(root).free + removable
-    wanted = free_bytes if free_bytes <= most_free else 0.0
     total, removed = sum(sizes.values()), []
     for path in flights:
-        if total <= cap_bytes and shutil.disk_usage(root).free >= wanted:
+        if total <= cap_bytes and (free_bytes > most_free or shutil.disk_usage(root).free >= free_bytes):
             break
-        if path.resolve() not in kept and _remove(path):
+        if path.resolve() in kept:
+            continue
+        if _remove(path):
             removed.append(path)
             total -= sizes[path]
+        else:
+            most_free -= sizes[path]
     if free_bytes > most_free:
         raise ConfigError(
             f"record.free_mb {free_bytes / 1e6:.6g}: without all old flights {most_free / 1e6:.0f} MB would "
-            "be free, so none was removed for it; expected other files removed, or less"
+            "be free, so none is removed for it; expected other files removed, or less"
         )
     return removed
 

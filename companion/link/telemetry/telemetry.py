@@ -210,6 +210,8 @@ def _attitude_target(state: AutopilotState, message: Message, time_s: float) -> 
 def _global_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
     if message.lat == 0 and message.lon == 0:
         return state  # ArduPilot's value for unknown
+    if time_s <= state.global_position_time_s:
+        return state
     position = vector3((message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3))
     state = replace(state, time_s=time_s, global_position=position, global_position_time_s=time_s)
     if state.ekf_ready is False or time_s <= state.velocity_time_s:

@@ -79,7 +79,8 @@ class Hold:
 
     def _climb_m(self) -> float:
         """How far (m) up it is clear of the pad; never beyond the ceiling."""
-        height_m = self._pad.sight.height_m if self._pad.sight is not None else math.inf
+        # a pad that is unseen for long is not believed to be above
+        height_m = max(0.0, self._pad.sight.height_m) if self._pad.sight is not None else math.inf
         over_home_m = self._ground.over_home_m
         room_m = math.inf if over_home_m is None else self._ceiling_m - over_home_m
         return max(0.0, min(self._clear_m - height_m, room_m))

@@ -20,6 +20,7 @@ from mcap.reader import make_reader
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
+import companion.flightlog.flights as flights_module
 from companion.base.message_json import encode, schema_of
 from companion.base.messages import (
     Frame,
@@ -281,6 +282,21 @@ def test_no_flight_is_removed_in_vain_where_other_programs_have_filled_the_disk(
     with pytest.raises(ConfigError, match=r"^record\.free_mb"):
         make_room(tmp_path, 3500, 5000)  # what all flights may take is within reach
     assert numbered_flights(tmp_path) == flights[2:]
+
+
+def test_what_cannot_be_removed_makes_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flights = filled(tmp_path, range(1, 6), 1000)
+
+    def usage(_: Path) -> Any:
+        free = 1000 * sum(not path.exists() for path in flights)
+        return shutil._ntuple_diskusage(9000, 9000 - free, free)
+
+    monkeypatch.setattr(shutil, "disk_usage", usage)
+    removes = flights_module._remove
+    monkeypatch.setattr(flights_module, "_remove", lambda path: path != flights[0] and removes(path))
+    with pytest.raises(ConfigError, match=r"^record\.free_mb 0\.004"):
+        make_room(tmp_path, 10**9, 4000)
+    assert numbered_flights(tmp_path) == flights
 
 
 @pytest.mark.parametrize("free_bytes", [1e15, math.inf])

@@ -272,7 +272,7 @@ def test_the_output_s_folder_is_looked_for_before_the_work(
 ) -> None:
     for words in (("accelerometer",), ("gyro",), ("camera", tmp_path / "none")):
         assert calibrate(*words, "-o", tmp_path / "none" / "x.yaml") == 2
-        assert "expected a file in an existing folder" in capsys.readouterr().err
+        assert "expected a .yaml file in an existing folder" in capsys.readouterr().err
     taken = tmp_path / "taken"
     taken.write_text("a letter")
     assert calibrate("camera", tmp_path / "none", "-o", tmp_path / "x.yaml", "--plots", taken) == 2

@@ -137,6 +137,8 @@ def test_a_position_comes_in_degrees_and_metres() -> None:
         mavlink.MAVLink_global_position_int_message(10, 471234567, -81234567, 412340, 0, 0, 0, 0, 0)
     )
     assert world.global_position == pytest.approx((47.1234567, -8.1234567, 412.34))
+    older = mavlink.MAVLink_global_position_int_message(9, 471234567, -81234567, 400000, 0, 0, 0, 0, 0)
+    assert after(older, world, world.global_position_time_s - 0.1) is world
     home = after(
         mavlink.MAVLink_home_position_message(470000000, 80000000, 400500, 0, 0, 0, [1.0, 0, 0, 0], 0, 0, 0)
     )
