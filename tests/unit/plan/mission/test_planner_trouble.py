@@ -785,6 +785,20 @@ def test_a_link_lost_just_after_a_failed_try_is_awaited_clear_of_the_pad() -> No
     assert w.flight.told("climb")[-1].endswith("clear of the pad")
 
 
+def test_a_pad_that_is_only_believed_to_be_above_is_cleared_like_one_at_the_feet() -> None:
+    w = world(line())
+    w.fly(60.0, until=lambda w: w.flight.phase is Phase.APPROACH)
+    w.fly(1.0, until=lambda _w: False)
+    # GIVEN a pad out of view, whose prediction rises above the vehicle
+    w.blind, w.blind_drift_m_s = lambda _t, _h: True, -2.0
+    w.fly(4.0, until=lambda _w: False)
+    before_m = w.flight.heights_m[-1]
+    w.autopilot.connected = False
+    w.fly(8.0)
+    assert w.flight.told("climb")[-1].endswith("clear of the pad")
+    assert max(w.flight.heights_m) - before_m < LEG_M + PlanConfig().landing.retry_height_m + 0.3
+
+
 def test_at_the_fence_just_over_the_pad_it_climbs_clear_first() -> None:
     w = low_over_the_pad(PlanConfig.model_validate({"mission": {"fence_m": 30.0}}))
     w.home = lambda _t: geodetic_from_ned((60.0, 0.0, 0.0), HOME)  # the autopilot has set another home
