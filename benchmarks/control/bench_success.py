@@ -40,6 +40,12 @@ SHARES: Final = (0.15, 0.25, 0.4, 0.6, 1.0)  # of the limits as shipped
 POINTS: Final = 0.05
 FEWEST: Final = 20
 TENTHS: Final = 10
+# by the contact's figure; a pad's tilt at contact is not judged
+JUDGED: Final = {
+    "lateral offset": "lateral_error_m",
+    "lateral speed": "horizontal_speed_m_s",
+    "sink": "vertical_speed_m_s",
+}
 
 
 def tighter(config: TouchdownConfig, share: float) -> TouchdownConfig:
@@ -62,7 +68,7 @@ class SuccessWatch:
         self._limits = [tighter(config, share) for share in SHARES]
         self._asked: tuple[SuccessEstimate, tuple[Any, ...], dict[str, Any]] | None = None
         self._factors, self._commit = SuccessEstimate.factors, TouchdownSequence.commit
-        self.said: list[float] = []
+        self.said: dict[str, list[float]] = {}
         self.commits = 0
 
     def factors(self, success: SuccessEstimate, *args: Any, **named: Any) -> dict[str, float]:
@@ -74,25 +80,25 @@ class SuccessWatch:
         """Ask again for the tighter limits."""
         assert self._asked is not None
         success, args, named = self._asked
-        self.said = []
+        self.said = {limit: [] for limit in JUDGED}
         for limits in self._limits:
             strict = copy.copy(success)
             fresh = SuccessEstimate(limits)
             strict._config, strict._fastest_m_s = fresh._config, fresh._fastest_m_s
             likely = self._factors(strict, *args, **{**named, "slack": 1.0})
-            # the pad's tilt at contact is not judged
-            self.said.append(math.prod(share for limit, share in likely.items() if limit != "pad tilt"))
+            for limit, shares in self.said.items():
+                shares.append(likely[limit])
         self.commits += 1
         self._commit(sequence, now_s)
 
-    def true(self, contact: Mapping[str, float]) -> list[bool]:
+    def true(self, contact: Mapping[str, float]) -> dict[str, list[bool]]:
         """Whether the contact was within each of the limits."""
-        return [
-            contact["lateral_error_m"] <= limits.break_off_lateral_m
-            and contact["horizontal_speed_m_s"] <= SuccessEstimate(limits)._fastest_m_s
-            and contact["vertical_speed_m_s"] <= limits.fastest_contact_m_s
-            for limits in self._limits
-        ]
+        most: dict[str, list[float]] = {
+            "lateral offset": [limits.break_off_lateral_m for limits in self._limits],
+            "lateral speed": [SuccessEstimate(limits)._fastest_m_s for limits in self._limits],
+            "sink": [limits.fastest_contact_m_s for limits in self._limits],
+        }
+        return {limit: [contact[JUDGED[limit]] <= one for one in each] for limit, each in most.items()}
 
 
 def fly_landing(number: int) -> dict[str, Any]:
@@ -115,8 +121,8 @@ def fly_landing(number: int) -> dict[str, Any]:
         "outcome": report.outcome.value,
         "commits": watch.commits,
         "offset_m": None if touched is None else touched["lateral_error_m"],
-        "said": watch.said if judged else [],
-        "true": watch.true(touched) if judged and touched is not None else [],
+        "said": watch.said if judged else {},
+        "true": watch.true(touched) if judged and touched is not None else {},
     }
 
 
@@ -137,9 +143,19 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
-def judge_tenths(pairs: Sequence[tuple[float, bool]]) -> tuple[Table, list[Bar]]:
+def answers(rows: Sequence[dict[str, Any]], limits: Sequence[str]) -> list[tuple[float, bool]]:
+    """What was said of all these limits together, and whether it came true."""
+    pairs = []
+    for row in rows:
+        for k in range(len(SHARES) if row["said"] else 0):
+            said = math.prod(row["said"][limit][k] for limit in limits)
+            pairs.append((said, all(row["true"][limit][k] for limit in limits)))
+    return pairs
+
+
+def judge_tenths(title: str, pairs: Sequence[tuple[float, bool]]) -> tuple[Table, list[Bar]]:
     """A line a tenth of what was said: how many, the mean said, the share that came true."""
-    shown = Table(box=SIMPLE_HEAD)
+    shown = Table(box=SIMPLE_HEAD, title=title)
     for heading in ("said", "descents", "mean said", "came true"):
         shown.add_column(heading, justify="right")
     bars = []
@@ -175,6 +191,8 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
         raise ConfigError(f"{path}: no landing has ended")
     landed, commits = (sum(row["outcome"] == "landed" for row in rows), sum(row["commits"] for row in rows))
     report.show(f"{landed} of {len(rows)} landed, {commits} commits")
-    shown, bars = judge_tenths([pair for row in rows for pair in zip(row["said"], row["true"], strict=True)])
+    for limit in JUDGED:
+        report.show(judge_tenths(limit, answers(rows, [limit]))[0])
+    shown, bars = judge_tenths("all", answers(rows, list(JUDGED)))
     report.show(shown)
     return report.judge(bars)
