@@ -109,6 +109,7 @@ class LandDetector:
         self.doubted = False
 
     def arrives(self, now_s: float) -> bool:
+        """Whether the contact is so recent that the feet may still slide."""
         return now_s - self._since_s <= _BOUNCES_S
 
     def off_pad(self, sight: PadState, now_s: float) -> bool:

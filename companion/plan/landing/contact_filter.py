@@ -56,6 +56,7 @@ class FeetMotion:
     asked_m_s: float
 
     def low(self, margin_m: float) -> bool:
+        """Whether the foot is down by its height."""
         return self.over_m is not None and self.over_m <= margin_m
 
     @property
@@ -174,10 +175,12 @@ class ContactFilter:
 
     @property
     def touching(self) -> bool:
+        """Whether it rather stands than not."""
         return self.probability >= 0.5
 
     @property
     def contact(self) -> bool:
+        """Whether it stands and its feet carry it."""
         return self.touching and self._share == 1.0 and (self._low or self._bears_s >= RESPONDS_S)
 
     def in_words(self) -> str:

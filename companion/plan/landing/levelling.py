@@ -132,6 +132,7 @@ class Levelling:
 
     @property
     def begun(self) -> bool:
+        """Whether it goes level by now."""
         return self._level is not None
 
     def window(self) -> LevelOff | None:

@@ -130,6 +130,7 @@ class TouchdownSequence:
     # ------------------------------------------------------------ wait, and rise to where it waits
 
     def wait(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
+        """Hover over the pad for a moment to land."""
         c, waited_s = self._config, now_s - self._since_s
         self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         # as in the descent: an unseen pad's predicted height sinks or rises without end, and is soon a guess
@@ -208,6 +209,7 @@ class TouchdownSequence:
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
     def sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        """Go down at a constant speed, until the feet touch or something is wrong."""
         seen = self._meet(sight, down=self.short_echoes.begun)
         unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
         silent = unfelt_s > FRESH_S

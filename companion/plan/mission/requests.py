@@ -68,6 +68,7 @@ class Requests:
         self._news.clear()
 
     def granted(self, kind: ActionKind) -> bool:
+        """Whether a request of this kind was accepted since `forget`."""
         return kind in self._fates and self._fates[kind].granted
 
     def in_doubt(self, kind: ActionKind) -> bool:
@@ -88,6 +89,7 @@ class Requests:
         return self._in_doubt_before | may_be_done | self._pending.keys()
 
     def asked(self, kind: ActionKind) -> bool:
+        """Whether a request of this kind has left since `forget`."""
         return kind in self._fates
 
     def hear(self, results: tuple[ActionResult, ...], now_s: float) -> tuple[str, ...]:

@@ -56,6 +56,8 @@ _PHASES: Final = {state: _PARTS.get(state) or Phase(state.value) for state in St
 
 
 class Authority(StrEnum):
+    """Who commands the vehicle."""
+
     NONE = "none"  # the autopilot flies by itself; control was not granted yet
     PILOT = "pilot"  # its pilot flew it when the landing was ordered; control was not granted yet
     OURS = "ours"  # our setpoints are obeyed
@@ -64,6 +66,8 @@ class Authority(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Circumstances:
+    """What guards are judged by."""
+
     authority: Authority = Authority.NONE
     tries_left: bool = True
     on_surface: bool = False
@@ -118,6 +122,8 @@ class Guard(Enum):
 
 
 class Effect(StrEnum):
+    """What a branch does besides actions to the autopilot."""
+
     COUNT_TRY = "count the try"
     ASK_PAD_POSITION = "ask the ground station for the pad's position"
     STOP_SETPOINTS = "stop setpoints"

@@ -378,6 +378,7 @@ TABLE: Final = _table(ROWS)
 
 
 def impossible(state: State, event: MissionEvent) -> bool:
+    """Whether an event cannot arise in a state."""
     return TABLE[state, event] is IMPOSSIBLE
 
 

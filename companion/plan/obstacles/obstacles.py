@@ -59,6 +59,7 @@ def route(
 
 
 def line_clear(start: Vector3, goal: Vector3, obstacles: tuple[Obstacle, ...], margin_m: float) -> bool:
+    """Whether the straight line between two points keeps the margin."""
     count = 2 + int(math.dist(start, goal) / _SPACING_M)
     line = np.linspace(start, goal, count)
     return bool(np.min(clearance_m(line, obstacles)) >= margin_m - _TOLERANCE_M)

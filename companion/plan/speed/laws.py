@@ -38,6 +38,7 @@ class LogPolynomial:
         )
 
     def __call__(self, distance_m: float, _velocity_m_s: float, _acceleration_m_s2: float) -> float:
+        """Average speed V (m/s) for a way to go."""
         length = float(np.log1p(min(max(distance_m, self._low_m), self._high_m)))
         speed = 0.0
         for coefficient in reversed(self.coefficients):

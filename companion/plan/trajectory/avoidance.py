@@ -109,6 +109,7 @@ class Avoidance:
 
     @property
     def needed(self) -> bool:
+        """Whether there are obstacles, and home is known."""
         return bool(self._obstacles) and self.home_ned_m is not None
 
     @property
