@@ -254,14 +254,19 @@ def test_the_oldest_flights_make_room(tmp_path: Path) -> None:
     ]
 
 
-def test_a_full_disk_makes_room_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    flights = filled(tmp_path, range(1, 6), 1000)
+def full_disk(monkeypatch: pytest.MonkeyPatch, flights: list[Path], total_bytes: int) -> None:
+    """A disk on which only what is removed of these flights, 1000 bytes each, is free."""
 
     def usage(_: Path) -> Any:
         free = 1000 * sum(not path.exists() for path in flights)
-        return shutil._ntuple_diskusage(9000, 9000 - free, free)
+        return shutil._ntuple_diskusage(total_bytes, total_bytes - free, free)
 
     monkeypatch.setattr(shutil, "disk_usage", usage)
+
+
+def test_a_full_disk_makes_room_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flights = filled(tmp_path, range(1, 6), 1000)
+    full_disk(monkeypatch, flights, 9000)
     assert make_room(tmp_path, 10**9, 2000) == flights[:2]
 
 
@@ -270,12 +275,7 @@ def test_no_flight_is_removed_in_vain_where_other_programs_have_filled_the_disk(
 ) -> None:
     """GIVEN a disk full of others' files, WHEN all flights would not make room, THEN they stay, and why."""
     flights = filled(tmp_path, range(1, 6), 1000)
-
-    def usage(_: Path) -> Any:
-        free = 1000 * sum(not path.exists() for path in flights)
-        return shutil._ntuple_diskusage(9_000_000, 9_000_000 - free, free)
-
-    monkeypatch.setattr(shutil, "disk_usage", usage)
+    full_disk(monkeypatch, flights, 9_000_000)
     with pytest.raises(ConfigError, match=r"^record\.free_mb 0\.005: without all old flights 0 MB"):
         make_room(tmp_path, 10**9, 5000)  # the newest stays: four of them make 4000
     assert numbered_flights(tmp_path) == flights
@@ -286,12 +286,7 @@ def test_no_flight_is_removed_in_vain_where_other_programs_have_filled_the_disk(
 
 def test_what_cannot_be_removed_makes_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flights = filled(tmp_path, range(1, 6), 1000)
-
-    def usage(_: Path) -> Any:
-        free = 1000 * sum(not path.exists() for path in flights)
-        return shutil._ntuple_diskusage(9000, 9000 - free, free)
-
-    monkeypatch.setattr(shutil, "disk_usage", usage)
+    full_disk(monkeypatch, flights, 9000)
     removes = flights_module._remove
     monkeypatch.setattr(flights_module, "_remove", lambda path: path != flights[0] and removes(path))
     with pytest.raises(ConfigError, match=r"^record\.free_mb 0\.004"):
