@@ -51,7 +51,7 @@ from companion.plan.landing.contact_filter import (
     ContactFilter,
     FeetMotion,
     feet_motion,
-    lowest_foot_m,
+    lowest_foot,
 )
 from companion.plan.landing.levelling import SLOWEST_SINK, Levelling
 from companion.plan.landing.relative_state import vehicle_motion
@@ -63,10 +63,10 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 _GIVE_WAY_S = 0.3
 _HELD_UP = 1.0 / 3.0  # of the sink asked for: it goes on down without a vehicle that sinks less
 _FASTER_M_S = 0.16  # a planned sink may be exceeded by this where nothing feels it
-# Probability of a contact within the limits: it commits at once to what is so likely, after `giving_up_s` to
-# what is likelier than not; what has been less likely than that for so long it breaks off.
-_COMMITS = 0.9
-_BREAKS_OFF = 0.5
+# Probability of a contact within the limits: it commits at once to what is so likely, and goes on down while
+# it is nearly so: another try costs seconds, a failed contact may cost the vehicle. Both fall to what is
+# likelier than not by `giving_up_s`. What has been less likely for so long it breaks off.
+_COMMITS, _GOES_ON, _AT_LAST = 0.9, 0.7, 0.5
 _WRONG_S = 0.1
 # A sink is stopped at this rate, after `RESPONDS_S`: without that room no break-off begins.
 _STOPS_M_S2 = 2.5
@@ -143,7 +143,7 @@ class TouchdownSequence:
         ready = (
             sight.unseen_s <= UNSEEN_S
             and sight.height_m >= self._wait_height_m - WITHIN_HAND_M
-            and likely >= _COMMITS - (_COMMITS - _BREAKS_OFF) * waited_s / c.giving_up_s
+            and likely >= self._enough(_COMMITS, now_s)
             and self._generator.avoidance.free_for((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
         if self._held.held_s("settled", ready, now_s) >= c.settled_s:
@@ -217,8 +217,9 @@ class TouchdownSequence:
             self._lift_off(sight, now_s)
             return MissionEvent.MISALIGNED, slides
         # far aside it tilts because it flies back or escapes: it is not about to stand
-        tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self._success.tilt.tilt_rad
-        hangs_m = lowest_foot_m(self._vehicle, tilt_rad)
+        hangs = 0.0, 0.0
+        if inputs.vehicle is not None and not (sight is not None and self._escapes(sight)):
+            hangs = lowest_foot(self._vehicle, inputs.vehicle.attitude, inputs.vehicle.rate_body_rad_s)
         asked_m_s, obeys = self._generator.at(now_s).velocity_m_s[2], not inputs.link.silent
         feet = feet_motion(
             sight,
@@ -229,7 +230,7 @@ class TouchdownSequence:
             vehicle=self._vehicle,
             obeys=obeys,
             felt_s=now_s - unfelt_s,
-            hangs_m=hangs_m,
+            hangs=hangs,
         )
         self.contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
         blind = sight is not None and sight.age_s > self._config.blind_s
@@ -237,7 +238,7 @@ class TouchdownSequence:
         stops = obeys and not seen and _stopped(feet, inputs.vehicle if blind else None)
         stands_s = self._held.held_s("stands", stops, feet.felt_s)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
-        feet_m = self._vehicle.leg_height_m + hangs_m + self._config.contact_margin_m
+        feet_m = self._vehicle.leg_height_m + hangs[0] + self._config.contact_margin_m
         short = echo_m is not None and echo_m <= feet_m
         within_hand = obeys and sight is not None and self._within_hand(sight, unfelt_s)
         self.short_echoes.note(inputs.range if within_hand and short else None)
@@ -349,7 +350,13 @@ class TouchdownSequence:
         likely, worst = 1.0, ""
         if sight.unseen_s <= UNSEEN_S:  # else it may not be known yet when the contact is due
             likely, worst = self._likely(sight, max(0.0, self.levelling.due_s - now_s))
-        return worst if self._held.held_s("wrong", likely < _BREAKS_OFF, now_s) >= _WRONG_S else ""
+        short = likely < self._enough(_GOES_ON, now_s)
+        return worst if self._held.held_s("wrong", short, now_s) >= _WRONG_S else ""
+
+    def _enough(self, at_first: float, now_s: float) -> float:
+        """How likely a success has to be by now: less, the longer the try lasts."""
+        spent = min(1.0, (now_s - self._since_s) / self._config.giving_up_s)
+        return at_first + (_AT_LAST - at_first) * spent
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:
         """Whether it can stop and rise before a foot touches what is so far below."""
