@@ -168,7 +168,15 @@ class Controller:
         if vehicle.imu_age_s > IMU_PREDICTED_S:
             return self._wait_for_imu(plan, plan.reference, vehicle, pad, now_s, obeyed=obeyed)
         if self._flying and not self._stopped:
-            self._plant.observe(vehicle, elapsed_s, learns=link.fresh, feet_near=plan.feet_near)
+            # on the way down the air under the rotors is met like any other until the feet may carry
+            sinks = float(plan.reference.velocity_m_s[0, 2]) > 0.0 and plan.unloading == 0.0
+            self._plant.observe(
+                vehicle,
+                elapsed_s,
+                learns=link.fresh,
+                feet_near=plan.feet_near,
+                may_stand=plan.feet_near and not sinks,
+            )
         else:
             self._begin(vehicle)
         return self._fly(plan, plan.reference, vehicle, pad, now_s, learns=link.fresh, obeyed=obeyed)

@@ -117,10 +117,12 @@ class SlowDisturbanceObserver:
         elapsed_s: float,
         *,
         feet_near: bool = False,
+        may_stand: bool = False,
     ) -> None:
         """Take in measured velocity, acceleration and what the thrust made, as late as the acceleration.
 
-        A measurement that is not finite is passed over. With `feet_near` nothing that holds it up is learnt.
+        A measurement that is not finite is passed over. What holds up a vehicle that `may_stand` is no air
+        beyond what was known before its `feet_near` anything.
         """
         if all(map(math.isfinite, (*velocity, *acceleration, *thrust))):
             for axis, v, a, f in zip(self._axes, velocity, acceleration, thrust, strict=True):
@@ -128,8 +130,9 @@ class SlowDisturbanceObserver:
         down = self._axes[2]
         if not feet_near:
             self._free_down_m_s2 = down.lasting
-        # a downdraught that was known may end: that it holds up less is no surface
-        down.lasting = max(down.lasting, min(0.0, self._free_down_m_s2))
+        if may_stand:
+            # a downdraught that was known may end: that it holds up less is no surface
+            down.lasting = max(down.lasting, min(0.0, self._free_down_m_s2))
 
     def keep(self, velocity_ned_m_s: Vector3) -> None:
         """Keep what lasts: whether the commands are flown is not known."""

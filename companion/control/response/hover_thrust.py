@@ -74,12 +74,13 @@ class HoverThrust:
         *,
         follows_gusts: bool = False,
         feet_near: bool = False,
+        may_stand: bool = False,
     ) -> float:
         """Take in what is felt over `elapsed_s`; returns by how much the lift has changed, as a factor.
 
         `predicted_down_m_s2`: what the thrust makes by the present estimate, as late as it is measured. What
         carries more than the thrust may be a pad under the feet, and only lifts: that is followed slowly, and
-        with `feet_near` not at all.
+        where it `may_stand` not beyond what was known before its `feet_near` anything.
         """
         felt, made = (1.0 - a / GRAVITY_M_S2 for a in (acceleration_down_m_s2, predicted_down_m_s2))
         if not (math.isfinite(felt) and math.isfinite(made)) or elapsed_s <= 0.0:
@@ -101,7 +102,8 @@ class HoverThrust:
         self._lift += gain * innovation_g
         if not feet_near:
             self._free_lift = self._lift
-        self._lift = min(self._lift, self._free_lift)
+        if may_stand:
+            self._lift = min(self._lift, self._free_lift)
         self._mean_g -= gain * thrust * innovation_g  # so much of it is explained from now on
         self._variance *= 1.0 - gain * thrust
         return self._lift / before

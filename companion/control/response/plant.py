@@ -110,13 +110,20 @@ class Plant:
         self._history.commands.clear()
 
     def observe(
-        self, vehicle: VehicleState, elapsed_s: float, *, learns: bool = True, feet_near: bool = False
+        self,
+        vehicle: VehicleState,
+        elapsed_s: float,
+        *,
+        learns: bool = True,
+        feet_near: bool = False,
+        may_stand: bool = False,
     ) -> None:
         """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago.
 
         Without `learns` what was commanded may explain nothing: only the wind, which no command explains, is
-        learnt. With `feet_near` what holds it up may be what it stands on, and is not learnt: it is gone as
-        soon as the vehicle rises, which would first take back the thrust that was given up for it.
+        learnt. With `may_stand` what holds it up may be what it stands on, and counts no more than it did
+        before its `feet_near` anything: it is gone as soon as the vehicle rises, which would first take back
+        the thrust that was given up for it.
         """
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
             self.lasting.predict(self._wanted(command, vehicle), duration_s)
@@ -132,12 +139,18 @@ class Plant:
             self._wind.late_thrust_ned_m_s2,
             elapsed_s,
             feet_near=feet_near,
+            may_stand=may_stand,
         )
         if self.by_attitude:
             made_m_s2 = self.lasting.delayed_response_down_m_s2
             self._weigh(
                 self.hover.correct(
-                    acceleration[2], made_m_s2, elapsed_s, follows_gusts=True, feet_near=feet_near
+                    acceleration[2],
+                    made_m_s2,
+                    elapsed_s,
+                    follows_gusts=True,
+                    feet_near=feet_near,
+                    may_stand=may_stand,
                 )
             )
             self._weighed_s = vehicle.time_s

@@ -95,9 +95,20 @@ def test_what_may_be_the_surface_under_the_feet_is_not_learnt(pushes_m_s2: float
     observer.start(ZERO3, ZERO3, (0.0, 0.0, -0.2))
     thrust = (0.0, 0.0, pushes_m_s2)
     for _ in range(300):
-        observer.correct(ZERO3, thrust, thrust, PERIOD_S, feet_near=True)
+        observer.correct(ZERO3, thrust, thrust, PERIOD_S, feet_near=True, may_stand=True)
         observer.keep(ZERO3)
     assert observer.lasting_ned_m_s2[2] == pytest.approx(known_m_s2, abs=0.6)
+
+
+def test_what_lifts_it_near_the_surface_is_met_until_it_may_stand_or_rises() -> None:
+    observer = SlowDisturbanceObserver(LAGS_S, SENSOR_LAG_S, 5.0, BANDWIDTHS_RAD_S)
+    lifts = (0.0, 0.0, -2.0)
+    for _ in range(300):
+        observer.correct(ZERO3, lifts, lifts, PERIOD_S, feet_near=True)
+        observer.keep(ZERO3)
+    assert observer.lasting_ned_m_s2[2] < -1.0
+    observer.correct(ZERO3, lifts, lifts, PERIOD_S, feet_near=True, may_stand=True)
+    assert observer.lasting_ned_m_s2[2] == 0.0
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

@@ -308,10 +308,10 @@ def test_what_carries_more_than_the_thrust_may_be_a_pad_and_is_no_gust() -> None
 
 
 def test_what_may_be_the_surface_under_the_feet_is_no_thrust_and_what_presses_down_is_felt() -> None:
-    assert settled_in_gust(0.3, feet_near=True) == pytest.approx(0.5)
-    assert settled_in_gust(-0.3, follows_gusts=True, feet_near=True) == settled_in_gust(
-        -0.3, follows_gusts=True
-    )
+    stands = {"feet_near": True, "may_stand": True}
+    assert settled_in_gust(0.3, **stands) == pytest.approx(0.5)
+    assert settled_in_gust(-0.3, follows_gusts=True, **stands) == settled_in_gust(-0.3, follows_gusts=True)
+    assert settled_in_gust(0.3, feet_near=True) == settled_in_gust(0.3)
 
 
 def test_falling_freely_nothing_is_learnt_and_the_estimate_stays_one() -> None:
