@@ -531,8 +531,8 @@ class PlanStep:
 
     `on_ground`: the thrust is taken away, on the pad in the state STAND or AUTO_LAND, or on its side.
     `unloading`: the share of the thrust (0 to 1) to take away, since the feet may stand. `feet_near`: so low
-    that what holds it up may be what the feet stand on. `contact_probability`: that they stand on the pad,
-    in the final descent.
+    that, with no sink asked for, what holds it up may be what the feet stand on. `contact_probability`: that
+    they stand on the pad, in the final descent.
     """
 
     time_s: float
