@@ -145,8 +145,12 @@ def unpacked(path: Path) -> Iterator[Path]:
         try:
             with zipfile.ZipFile(path) as archive:
                 archive.extractall(scratch)
-        except (OSError, zipfile.BadZipFile, RuntimeError) as error:
-            raise ConfigError(f"{path}: cannot be unpacked: {error}; expected an exported flight") from error
+        # a damaged one raises whatever Python raises where it was damaged
+        except Exception as error:
+            why = error.strerror if isinstance(error, OSError) else error
+            raise ConfigError(
+                f"{path}: cannot be unpacked: {why}; expected a whole exported flight"
+            ) from error
         inside = list(Path(scratch).iterdir())
         if len(inside) != 1 or not inside[0].is_dir():
             raise ConfigError(f"{path}: expected one flight's folder in it, as companion logs export writes")

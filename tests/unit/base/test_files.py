@@ -145,6 +145,20 @@ def test_an_exported_flight_is_unpacked_and_anything_else_is_as_it_is(tmp_path: 
         pass
 
 
+def test_a_damaged_zip_is_named(tmp_path: Path) -> None:
+    packed = tmp_path / "flight-0007.zip"
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("flight-0007/flight.mcap", bytes(range(256)) * 40)
+    data = packed.read_bytes()
+    for damaged in (data[:60] + b"\xff" + data[61:], data[:100] + data[200:]):
+        packed.write_bytes(damaged)
+        with (
+            pytest.raises(ConfigError, match=r"zip: cannot be unpacked: [^\[]"),
+            unpacked(packed),
+        ):
+            pass
+
+
 def test_an_output_is_tried_where_it_will_be_written(tmp_path: Path) -> None:
     """Beside it, whether or not it is there: a file that may be written to can lie where no other may."""
     there, missing, link = (tmp_path / name for name in ("there.yaml", "missing.yaml", "link.yaml"))
