@@ -10,9 +10,6 @@ What is in them has been through a calibration as often as not:
                 that was applied, as the log holds it, is taken off again
 """
 
-import contextlib
-import io
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -26,10 +23,18 @@ from companion.base.geometry import vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, ConfigError, validate_recorded
 from companion.config.magnetometer import MagnetometerCalibration
+from companion.flightlog.replay.dataflash import KIND as DATAFLASH
 from companion.flightlog.replay.dataflash import hand_out
-from companion.flightlog.replay.flight_record import SECONDS_PER_YEAR, UT_PER, RecordingPlace
+from companion.flightlog.replay.flight_record import (
+    SECONDS_PER_YEAR,
+    UT_PER,
+    FlightRecord,
+    RecordingPlace,
+    damage_reported,
+)
 from companion.flightlog.replay.mcap_log import read_mcap
-from companion.flightlog.replay.ulog import read_ulog
+from companion.flightlog.replay.ulog import KIND as ULOG
+from companion.flightlog.replay.ulog import parse_ulog, read_ulog
 from companion.link.codec import Codec, Message, is_autopilot_heartbeat, mavlink
 from companion.link.commands import reported_value
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES, imu_sample, mag_sample, stamp_s
@@ -166,15 +171,20 @@ def read_dataflash_compass(path: Path) -> MagnetometerRecording:
     """
     messages: dict[str, list[Any]] = {kind: [] for kind in ("MAG", "IMU", "PARM", "GPS")}
     hand_out(path, [*messages], lambda message: messages[message.get_type()].append(message))
+    with damage_reported(path, DATAFLASH):
+        return _compass_of(str(path), messages)
+
+
+def _compass_of(source: str, messages: Mapping[str, list[Any]]) -> MagnetometerRecording:
     mags = [m for m in messages["MAG"] if getattr(m, "Health", 1)]
     if not mags:
-        raise ConfigError(f"{path}: no MAG messages in it; expected those of a compass")
+        raise ConfigError("no MAG messages in it; expected those of a compass")
     parameters = {m.Name: float(m.Value) for m in messages["PARM"]}
     heard = [MagSample(m._timestamp, vector3(_mgauss(m, "Mag"))) for m in mags]
     imus = [ImuSample(m._timestamp, (0.0,) * 3, (m.AccX, m.AccY, m.AccZ), 0.0) for m in messages["IMU"]]
     raw, force = paired(heard, imus)
     place = next((_place(m) for m in messages["GPS"] if m.Status >= 3), None)
-    recording = MagnetometerRecording(str(path), "autopilot", raw, force=force, place=place)
+    recording = MagnetometerRecording(source, "autopilot", raw, force=force, place=place)
     recording.onboard = onboard_of("ardupilot", parameters)
     if recording.onboard is None:
         recording.notes.append("no compass parameters in the log: its own offsets alone were taken off")
@@ -206,8 +216,11 @@ def read_ulog_compass(path: Path) -> MagnetometerRecording:
         ConfigError: not a ULog, or no magnetometer in it.
     """
     record = read_ulog(path)
-    with contextlib.redirect_stdout(io.StringIO()):
-        log = ULog(str(path), ["sensor_mag"])
+    with damage_reported(path, ULOG):
+        return _raw_compass(str(path), record, parse_ulog(path.read_bytes(), ["sensor_mag"]))
+
+
+def _raw_compass(source: str, record: FlightRecord, log: ULog) -> MagnetometerRecording:
     imus = [event.item for event in record.events if isinstance(event.item, ImuSample)]
     topic = next((topic for topic in log.data_list if topic.multi_id == 0), None)
     onboard = onboard_of("px4", dict(log.initial_parameters))
@@ -216,16 +229,16 @@ def read_ulog_compass(path: Path) -> MagnetometerRecording:
         times = (1e-6 * np.asarray(topic.data["timestamp"], dtype=float)).tolist()
         mags = [MagSample(t, vector3(f)) for t, f in zip(times, fields.tolist(), strict=True)]
         raw, force = paired(mags, imus)
-        recording = MagnetometerRecording(str(path), "autopilot", raw, force=force, onboard=onboard)
+        recording = MagnetometerRecording(source, "autopilot", raw, force=force, onboard=onboard)
         if onboard is None:
             recording.sensor, recording.force = "other", None
             recording.notes.append("the compass is turned, or its parameters are not logged: in its own axes")
     else:
         mags = [event.item for event in record.events if isinstance(event.item, MagSample)]
         if not mags:
-            raise ConfigError(f"{path}: no magnetometer in it; expected sensor_mag or vehicle_magnetometer")
+            raise ConfigError("no magnetometer in it; expected sensor_mag or vehicle_magnetometer")
         raw, force = paired(mags, imus)
-        recording = MagnetometerRecording(str(path), "autopilot", raw, force=force)
+        recording = MagnetometerRecording(source, "autopilot", raw, force=force)
         recording.notes.append(
             "no raw readings in the log: the calibration goes on top of the autopilot's own"
         )
@@ -265,7 +278,7 @@ def read_own_log(path: Path) -> MagnetometerRecording:
 
 
 def _uncalibrated(
-    recording: MagnetometerRecording, config: CompanionConfig, recorded: Mapping[str, str]
+    recording: MagnetometerRecording, config: CompanionConfig, recorded: Mapping[str, Any]
 ) -> MagnetometerRecording:
     """Without the calibration that was applied: the log's own copy, for the file may be another by now."""
     settings = config.sense.imu if recording.sensor == "mpu9250" else config.sense.autopilot
@@ -278,7 +291,7 @@ def _uncalibrated(
             )
         applied = validate_recorded(
             MagnetometerCalibration,
-            json.loads(recorded["magnetometer"]),
+            recorded["magnetometer"],
             f"{recording.source}: settings: magnetometer",
             recording.notes,
         )

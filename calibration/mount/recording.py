@@ -10,11 +10,10 @@ The sightings of a flight used gravity (see `pad_detector`), so the pad is detec
 from __future__ import annotations
 
 import base64
-import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -173,10 +172,10 @@ def _sightings(
     )
 
 
-def _calibrated(settings: dict[str, str], file: Path) -> InertialCalibration | None:
+def _calibrated(settings: Mapping[str, Any], file: Path) -> InertialCalibration | None:
     if INERTIAL not in settings:
         return None
-    return validate(InertialCalibration, json.loads(settings[INERTIAL]), f"{file}: settings: {INERTIAL}")
+    return validate(InertialCalibration, settings[INERTIAL], f"{file}: settings: {INERTIAL}")
 
 
 def frames_of(file: Path) -> Iterator[Frame]:
@@ -185,13 +184,14 @@ def frames_of(file: Path) -> Iterator[Frame]:
     An image's stamp in the log is UTC; a frame's report, which is written the moment it is made, says by how
     much the two differ.
     """
-    reports = (message for topic, message in LogReader(file).messages() if topic == "frame_report")
+    reader = LogReader(file)
+    reports = (message for topic, message in reader.messages() if topic == "frame_report")
     if (report := next(reports, None)) is None:
         return
-    start_unix_s = 1e-9 * report.log_time - float(json.loads(report.data)["done_s"])
-    images = (message for topic, message in LogReader(file).messages() if topic == "camera")
+    start_unix_s = 1e-9 * report.log_time - float(reader.content("frame_report", report)["done_s"])
+    images = (message for topic, message in reader.messages() if topic == "camera")
     for number, message in enumerate(images):
-        image = json.loads(message.data)
+        image = reader.content("camera", message)
         stamp = image["timestamp"]
         time_s = stamp["sec"] - start_unix_s + 1e-9 * stamp["nsec"]
         data = np.frombuffer(base64.b64decode(image["data"]), dtype=np.uint8)

@@ -20,6 +20,9 @@ from companion.base.files import cannot_read
 
 T = TypeVar("T")
 
+# what a cut or damaged log raises, depending on where it is cut
+DAMAGE: Final = (McapError, EOFError, ValueError, struct.error, zstandard.ZstdError)
+
 LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
 REPAIRED_NAME: Final = "flight-repaired.mcap"
 OF_A_FOLDER: Final = (LOG_NAMES[0], REPAIRED_NAME)  # logs whose flight's other files lie beside them
@@ -72,8 +75,7 @@ def records(stream: IO[bytes], end_early: Callable[[], None]) -> Iterator[Any]:
                 yield from breakup_chunk(record, validate_crc=True)
             else:
                 yield record
-    # what a cut or damaged chunk raises, depending on where it is cut
-    except (McapError, EOFError, ValueError, struct.error, zstandard.ZstdError):
+    except DAMAGE:
         pass
     end_early()
 
@@ -81,13 +83,13 @@ def records(stream: IO[bytes], end_early: Callable[[], None]) -> Iterator[Any]:
 class LogReader:
     """One pass over a log from its front; once `messages` has ended, `metadata` and `cut` are complete.
 
-    `schemas` are those of the topics that have come so far. Topics go without their leading slash.
+    Topics go without their leading slash.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = log_file(path)
         self.metadata: dict[str, dict[str, str]] = {}
-        self.schemas: dict[str, Schema] = {}
+        self._schemas: dict[str, Schema] = {}
         self.cut = False
 
     def messages(self) -> Iterator[tuple[str, Message]]:
@@ -96,12 +98,14 @@ class LogReader:
             with self.path.open("rb") as stream:
                 for record in records(stream, self._end_early):
                     if isinstance(record, Message):
-                        yield topics[record.channel_id], record
+                        if (topic := topics.get(record.channel_id)) is not None:
+                            yield topic, record
                     elif isinstance(record, Schema):
                         schemas[record.id] = record
                     elif isinstance(record, Channel):
                         topic = topics[record.id] = record.topic.removeprefix("/")
-                        self.schemas[topic] = schemas[record.schema_id]
+                        if record.schema_id in schemas:
+                            self._schemas[topic] = schemas[record.schema_id]
                     elif isinstance(record, Metadata):
                         self.metadata[record.name] = record.metadata
         except OSError as error:
@@ -111,12 +115,39 @@ class LogReader:
         """A message of a topic as ours."""
         from companion.base.message_json import decode  # noqa: PLC0415 - NumPy; a wrong name is reported first
 
+        content = self.content(topic, message)
         try:
-            return decode(kind, json.loads(message.data))
+            return decode(kind, content)
         except (ValueError, TypeError, KeyError) as error:
             raise ConfigError(
                 f"{self.path}: a message of /{topic} is not a {kind.__name__}: {error}; "
                 "expected a log of this program's version"
+            ) from error
+
+    def content(self, topic: str, message: Message) -> Any:
+        """What a message of a topic holds."""
+        return self._parsed(message.data, f"a message of /{topic}")
+
+    def schema(self, topic: str) -> dict[str, Any]:
+        """The JSON schema of a topic that has come; an empty one where it has none."""
+        schema = self._schemas.get(topic)
+        if schema is None or schema.encoding != "jsonschema":
+            return {}
+        content = self._parsed(schema.data, f"the schema of /{topic}")
+        return content if isinstance(content, dict) else {}
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What was flown with, by the names of its files; nothing in a log that does not say."""
+        texts = self.metadata.get(SETTINGS_RECORD, {})
+        return {name: self._parsed(text, f"settings: {name}") for name, text in texts.items()}
+
+    def _parsed(self, text: str | bytes, what: str) -> Any:
+        try:
+            return json.loads(text)
+        except ValueError as error:
+            raise ConfigError(
+                f"{self.path}: {what}: cannot be read: {error}; expected JSON, as this program logs it"
             ) from error
 
     def _end_early(self) -> None:

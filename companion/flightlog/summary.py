@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
 
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from companion.base.message_json import decode
 from companion.base.messages import Outcome, PadState, Phase
 from companion.flightlog.flights import size_bytes
-from companion.flightlog.log_file import LOG_NAMES, LogReader
+from companion.flightlog.log_file import DAMAGE, LOG_NAMES, LogReader
 
 ENDINGS: Final = {Phase.LANDED: Outcome.LANDED.value, Phase.ABORT: Outcome.ABORTED.value}
 TOPICS: Final = ("plan", "pad")
@@ -108,7 +107,7 @@ def _by_index(stream: IO[bytes]) -> _Read | None:
         statistics = summary.statistics
         first_ns = statistics.message_start_time if statistics.message_count else None
         return _Read(first_ns, statistics.message_end_time, last)
-    except (McapError, EOFError, ValueError):
+    except DAMAGE:
         return None
 
 

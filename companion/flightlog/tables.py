@@ -39,12 +39,12 @@ def read_tables(source: Path) -> dict[str, list[Row]]:
     reader, tables = LogReader(source), dict[str, list[Row]]()
     schemas: dict[str, Any] = {}
     for topic, message in reader.messages():
-        if reader.schemas[topic].name == IMAGE_SCHEMA:
-            continue
         if topic not in schemas:
-            schemas[topic] = json.loads(reader.schemas[topic].data)
+            schemas[topic] = reader.schema(topic)
+        if schemas[topic].get("title") == IMAGE_SCHEMA:
+            continue
         row = {TIME_COLUMN: 1e-9 * message.log_time}
-        row.update(_flat(json.loads(message.data), schemas[topic], ""))
+        row.update(_flat(reader.content(topic, message), schemas[topic], ""))
         tables.setdefault(topic, []).append(row)
     return tables
 

@@ -34,6 +34,7 @@ from companion.flightlog.replay.flight_record import (
     RecordingPlace,
     Sample,
     antenna_by,
+    damage_reported,
     known_references,
     known_tracks,
 )
@@ -50,6 +51,7 @@ SECONDS_PER_WEEK: Final = 604_800.0
 GPS_EPOCH_YEAR: Final = 1980.0 + 5.0 / 366.0
 DOWNWARD: Final = 25  # MAV_SENSOR_ROTATION_PITCH_270
 RANGE_GOOD: Final = 4
+KIND: Final = "DataFlash log"
 
 
 def read_dataflash(path: Path) -> FlightRecord:
@@ -68,21 +70,14 @@ def hand_out(path: Path, kinds: list[str], take: Callable[[Any], None]) -> str:
         ConfigError: not a DataFlash log, or of `take`.
     """
     words = io.StringIO()
-    log = None
-    with contextlib.redirect_stderr(words):
-        try:
-            log = _DataFlashLog(str(path))
-            while (message := log.recv_match(type=kinds)) is not None:
-                if getattr(message, "I", getattr(message, "Instance", 0)) == 0:
-                    take(message)
-        except ConfigError as error:
-            raise ConfigError(f"{path}: {error}") from error
-        except Exception as error:
-            # the library meets garbage with whatever Python raises there
-            raise ConfigError(f"{path}: not a DataFlash log that can be read: {error}") from error
-        finally:
-            if log is not None:
-                log.close()
+    with (
+        contextlib.redirect_stderr(words),
+        damage_reported(path, KIND),
+        contextlib.closing(_DataFlashLog(str(path))) as log,
+    ):
+        while (message := log.recv_match(type=kinds)) is not None:
+            if getattr(message, "I", getattr(message, "Instance", 0)) == 0:
+                take(message)
     return words.getvalue()
 
 

@@ -5,9 +5,11 @@ Times are seconds of the log's own clock; a sample's `time_s` is when it was mea
 `arrival_s` when the estimators could have had it. NED and FRD, SI units, µT.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Final, Literal, NamedTuple
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
 
 from companion.base.geometry import Vector3
 from companion.base.messages import (
@@ -20,7 +22,7 @@ from companion.base.messages import (
     RangeSample,
     VehicleState,
 )
-from companion.config import CameraConfig, CompanionConfig, VehicleConfig
+from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig
 from companion.flightlog.errors import RecordedTrack, track_of
 from companion.pad import Pad
 
@@ -83,7 +85,7 @@ class RecordingPlace:
 class FlightRecord:
     """A whole log.
 
-    `settings` are what it was made under, as JSON by name, and `states` the app's own estimates as recorded,
+    `settings` are what it was made under, by name, and `states` the app's own estimates as recorded,
     to the bit (ours only). `cut` says where a log that
     ends in the middle of something does so; `notes` is what else a reader of the results should know.
     """
@@ -92,13 +94,34 @@ class FlightRecord:
     events: list[RecordedEvent]
     references: dict[Source, RecordedReference]
     rig: ReplaySetup | None = None
-    settings: dict[str, str] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
     states: list[VehicleState | PadState] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     place: RecordingPlace | None = None
     antenna_position_body_m: Vector3 | None = None
     cut: str | None = None
     notes: list[str] = field(default_factory=list)
+
+
+@contextmanager
+def damage_reported(path: Path, kind: str) -> Iterator[None]:
+    """Report in one line what Python raises where a library meets garbage, whatever that is.
+
+    Raises:
+        ConfigError: it raised something, or what is within did.
+        OSError: the file cannot be read at all.
+    """
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    except OSError:
+        raise
+    except Exception as error:
+        raise ConfigError(
+            f"{path}: not a {kind} that can be read: {type(error).__name__}: {error}; "
+            "expected one as the autopilot wrote it"
+        ) from error
 
 
 def known_tracks(**samples: Iterable[tuple[float, Sequence[float]]]) -> dict[TrackName, RecordedTrack]:

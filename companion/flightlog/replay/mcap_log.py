@@ -4,7 +4,6 @@ Every float is written with all its digits, so what is read here is, to the bit,
 what the estimators had.
 """
 
-import json
 import math
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -25,7 +24,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, validate_recorded
-from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, LogReader
+from companion.flightlog.log_file import VERSIONS_RECORD, LogReader
 from companion.flightlog.replay.flight_record import (
     Ask,
     FlightRecord,
@@ -82,13 +81,13 @@ class _Reading:
             self._events.append(RecordedEvent(arrival_s, decoded(SAMPLES[topic], topic, message)))
         elif topic == "plan":
             # the first thing that a control cycle writes; a cycle with states has them under the same time
-            self._ask(float(json.loads(message.data)["time_s"]), message)
+            self._ask(float(self._reader.content(topic, message)["time_s"]), message)
         elif topic in STATES:
             state: VehicleState | PadState = decoded(STATES[topic], topic, message)
             self._ask(state.time_s, message)
             self._states.append(state)
         elif topic == "notice":
-            self._take_notice(json.loads(message.data))
+            self._take_notice(self._reader.content(topic, message))
 
     def _ask(self, time_s: float, message: Message) -> None:
         if time_s != self._asked_s:
@@ -108,7 +107,7 @@ class _Reading:
             events=self._events,
             references=known_references(_states_reference(self._states), _truth_reference(self._truth)),
             rig=self._rig(),
-            settings=self._reader.metadata.get(SETTINGS_RECORD, {}),
+            settings=self._reader.settings,
             states=self._states,
             versions=self._reader.metadata.get(VERSIONS_RECORD, {}),
             cut=f"the log is cut after {seconds:.1f} s: read up to there" if self._reader.cut else None,
@@ -116,8 +115,8 @@ class _Reading:
         )
 
     def _rig(self) -> ReplaySetup | None:
-        settings = self._reader.metadata.get(SETTINGS_RECORD)
-        if settings is None:
+        settings = self._reader.settings
+        if not settings:
             return None
         source = f"{self._reader.path}: settings"
         missing = {"config", "vehicle", "pad"} - settings.keys()
@@ -130,9 +129,8 @@ class _Reading:
             self._recorded(CameraConfig, settings, "camera") if "camera" in settings else None,
         )
 
-    def _recorded(self, model: type[Settings], settings: dict[str, str], name: str) -> Settings:
-        data = json.loads(settings[name])
-        return validate_recorded(model, data, f"{self._reader.path}: settings: {name}", self._notes)
+    def _recorded(self, model: type[Settings], settings: dict[str, Any], name: str) -> Settings:
+        return validate_recorded(model, settings[name], f"{self._reader.path}: settings: {name}", self._notes)
 
 
 # ---------------------------------------------------------------- what it is held against

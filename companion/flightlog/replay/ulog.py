@@ -18,7 +18,6 @@ from pyulog import ULog
 
 from companion.base.geometry import FloatArray, Vector3, quat_from_euler, vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
-from companion.config import ConfigError
 from companion.flightlog.replay.flight_record import (
     SECONDS_PER_YEAR,
     UT_PER,
@@ -27,6 +26,7 @@ from companion.flightlog.replay.flight_record import (
     RecordedReference,
     RecordingPlace,
     antenna_by,
+    damage_reported,
     known_references,
     known_tracks,
 )
@@ -39,32 +39,53 @@ GPS_DELAYS: Final = ("SENS_GPS0_DELAY", "EKF2_GPS_DELAY")
 ANTENNAS: Final = ("SENS_GPS0_OFF", "EKF2_GPS_POS_")
 DOWNWARD: Final = 25  # MAV_SENSOR_ROTATION_PITCH_270
 HEADER_BYTES: Final = 16
+KIND: Final = "ULog"
 
 Columns = Mapping[str, Any]
 
 
 def read_ulog(path: Path) -> FlightRecord:
-    with contextlib.redirect_stdout(io.StringIO()):
-        try:
-            log = ULog(str(path))
-        except Exception as error:
-            # the library meets garbage with whatever Python raises there
-            raise ConfigError(f"{path}: not a ULog that can be read: {error}") from error
-    reading = _Reading(log)
-    return FlightRecord(
-        kind="px4",
-        events=reading.events(),
-        references=known_references(reading.reference(""), reading.reference("_groundtruth")),
-        place=reading.place(),
-        antenna_position_body_m=antenna_by(log.initial_parameters, *ANTENNAS),
-        cut=None if _is_whole(path) else "the log is cut within a message: read up to there",
-        notes=["damaged places in the log passed over"] if log.file_corruption else [],
-    )
-
-
-def _is_whole(path: Path) -> bool:
-    """Whether the last message ends with the file: each starts with its length (2 bytes) and type (1)."""
     data = path.read_bytes()
+    with damage_reported(path, KIND):
+        log = parse_ulog(data)
+        reading = _Reading(log)
+        return FlightRecord(
+            kind="px4",
+            events=reading.events(),
+            references=known_references(reading.reference(""), reading.reference("_groundtruth")),
+            place=reading.place(),
+            antenna_position_body_m=antenna_by(log.initial_parameters, *ANTENNAS),
+            cut=None if _is_whole(data) else "the log is cut within a message: read up to there",
+            notes=["damaged places in the log passed over"] if log.file_corruption else [],
+        )
+
+
+def parse_ulog(data: bytes, topics: list[str] | None = None) -> ULog:
+    """Parse a log's bytes, of all topics or of some; garbage raises whatever Python raises there."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        return ULog(_ParsedBytes(data), topics)
+
+
+class _ParsedBytes(io.BytesIO):
+    """What the library reads from.
+
+    Where a message's type is unknown it steps back by the message's stated length, to look one byte further
+    on. From a message that the file's end cuts that leads before it: to before the file, or round for ever.
+    """
+
+    _missing = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        self._missing = max((size or 0) - len(data), 0)
+        return data
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        return super().seek(offset + (self._missing if whence == 1 else 0), whence)
+
+
+def _is_whole(data: bytes) -> bool:
+    """Whether the last message ends with the file: each starts with its length (2 bytes) and type (1)."""
     at = HEADER_BYTES
     while at + 3 <= len(data):
         at += 3 + struct.unpack_from("<H", data, at)[0]

@@ -3,7 +3,6 @@
 Times count from the app's first cycle, as in result.json.
 """
 
-import json
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -27,7 +26,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import ConfigError
-from companion.flightlog.log_file import OF_A_FOLDER, SETTINGS_RECORD, VERSIONS_RECORD, LogReader, log_name
+from companion.flightlog.log_file import OF_A_FOLDER, VERSIONS_RECORD, LogReader, log_name
 from companion.flightlog.replay.mcap_log import SAMPLES
 from companion.flightlog.result import Result, from_start
 from companion.flightlog.summary import ending
@@ -164,7 +163,7 @@ class _Reading:
             self._latest_picture = record
 
     def _keep_picture(self, record: Message, moment: str) -> None:
-        image = json.loads(record.data)
+        image = self._reader.content("camera", record)
         exposed_s = image["timestamp"]["sec"] + 1e-9 * image["timestamp"]["nsec"]
         self._pictures.append(Picture(exposed_s, moment, image["data"]))
 
@@ -181,7 +180,6 @@ class _Reading:
         for sensor in self._sensors.values():
             sensor.arrival_s = [time_s - unix_s for time_s in sensor.arrival_s]
             sensor.age_s = [age_s - self._start_unix_s for age_s in sensor.age_s]
-        settings = self._reader.metadata.get(SETTINGS_RECORD, {})
         return LoggedFlight(
             name=log_name(self._reader.path),
             start_unix_s=unix_s,
@@ -189,7 +187,7 @@ class _Reading:
             truth=truth,
             pictures=[Picture(p.time_s - unix_s, p.moment, p.jpeg_base64) for p in self._pictures],
             sensors=self._sensors,
-            settings={name: json.loads(text) for name, text in settings.items()},
+            settings=self._reader.settings,
             versions=self._reader.metadata.get(VERSIONS_RECORD, {}),
             result=result,
             cut=self._reader.cut,

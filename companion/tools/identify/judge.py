@@ -9,7 +9,6 @@ The flight is what the app recorded (flight.mcap): its own estimates, the setpoi
 autopilot obeyed, on an even grid. NED, SI units.
 """
 
-import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,7 +33,7 @@ from companion.control.response.identification import (
     windows,
 )
 from companion.control.setpoints import resolved
-from companion.flightlog.log_file import SETTINGS_RECORD, LogReader
+from companion.flightlog.log_file import LogReader
 
 TOPICS: Final = ("vehicle", "setpoint", "plan", "control_report")
 # low over the ground, or on it, other forces act than the model knows
@@ -72,12 +71,12 @@ def read_flight(path: Path) -> IdentificationLog:
     messages: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
     for topic, message in reader.messages():
         if topic in TOPICS:
-            messages[topic].append(json.loads(message.data))
-    path, settings = reader.path, reader.metadata.get(SETTINGS_RECORD, {})
+            messages[topic].append(reader.content(topic, message))
+    path, settings = reader.path, reader.settings
     if not {"config", "vehicle"} <= settings.keys():
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
-    config = validate_recorded(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
-    vehicle = validate_recorded(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
+    config = validate_recorded(CompanionConfig, settings["config"], f"{path}: config")
+    vehicle = validate_recorded(VehicleConfig, settings["vehicle"], f"{path}: vehicle")
     # in a flight by `auto` the setpoints show whose autopilot it was: PX4 is sent no attitudes then
     by_attitude = any(row.get("attitude") is not None for row in messages["setpoint"])
     autopilot_kind: AutopilotKind = (

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from companion.flightlog.replay.plausible import implausible, shortcomings, why_
 from companion.flightlog.replay.run import replay
 from companion.flightlog.replay.settings import choose
 from companion.flightlog.replay.ulog import read_ulog
+from tests.programs import ProgramHere
 from tests.unit.estimate.estimate_flight import ANTENNA, EstimateFlight, hover, pad_at_rest
 from tests.unit.flightlog.replay.log_files import BOOT_S, FLIGHT, DataFlash, Ulog, write_dataflash, write_ulog
 
@@ -273,6 +275,26 @@ def test_garbage_is_refused_in_one_line(
     with pytest.raises(ConfigError, match="that can be read"):
         read(path)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(("head", "tail"), [(16, 4_000), (64, 4_000), (400, 30_000), (16, 100_000)])
+def test_a_ulog_that_goes_over_into_garbage_is_read_to_its_end(
+    head: int, tail: int, tmp_path: Path, program: ProgramHere
+) -> None:
+    path = write_ulog(tmp_path / "a.ulg", EstimateFlight(hover, pad_at_rest, duration_s=1.0))
+    path.write_bytes(path.read_bytes()[:head] + Random(0).randbytes(tail))
+    assert f"{path}: no IMU samples in the log" in program("companion", "replay", path).refusal
+
+
+def test_a_log_whose_formats_are_damaged_is_refused_in_one_line(tmp_path: Path, program: ProgramHere) -> None:
+    flight = EstimateFlight(hover, pad_at_rest, duration_s=1.0)
+    ulog = write_ulog(tmp_path / "a.ulg", flight)
+    ulog.write_bytes(ulog.read_bytes().replace(b"float vel_d_m_s", b"float vel_d_m?s"))
+    dataflash = write_dataflash(tmp_path / "a.bin", flight)
+    dataflash.write_bytes(dataflash.read_bytes().replace(b"GyrZ,AccX,", b"GyrZ,Acc?,"))
+    for path in (ulog, dataflash):
+        assert "that can be read: " in program("companion", "replay", path).refusal
+        assert "that can be read: " in program("calibrate-magnetometer", path).refusal
 
 
 # ----------------

@@ -17,6 +17,7 @@ from companion.flightlog.replay.flight_record import FlightRecord
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.flightlog.replay.run import replay
 from companion.flightlog.replay.settings import choose
+from tests.programs import ProgramHere
 from tests.unit.flightlog.replay.log_files import FLIGHT, own_rig, write_own
 
 
@@ -102,6 +103,26 @@ def test_a_damaged_chunk_ends_the_log_there(log: Path, tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.mcap"
     damaged.write_bytes(data)
     assert read_mcap(damaged).cut is not None
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("companion", "replay"),
+        ("companion", "report"),
+        ("companion", "identify"),
+        ("calibrate-magnetometer",),
+        ("calibrate-mount", "camera"),
+    ],
+)
+def test_damaged_settings_are_named(
+    command: tuple[str, ...], log: Path, tmp_path: Path, program: ProgramHere
+) -> None:
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(log.read_bytes().replace(b'{"pad":', b'{"pad?:', 1))
+    refusal = program(*command, damaged).refusal
+    assert f"{damaged}: settings: config: cannot be read: " in refusal
+    assert "expected JSON" in refusal
 
 
 def test_an_older_log_without_settings_is_replayed_under_the_shipped_ones(tmp_path: Path) -> None:
