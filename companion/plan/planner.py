@@ -157,6 +157,7 @@ class Planner:
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
         pressed, before, self.withdraws = self._steering.presses_down, self.phase, False
+        lay = self._monitor.lies
         self._standing_height.update(inputs, now_s)
         inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
@@ -164,6 +165,11 @@ class Planner:
         self._react(inputs, now_s)
         # a disarming asked for on the pad is none for a vehicle that left it; one on its side did not
         left_pad = pressed and not self._steering.presses_down and not self._monitor.lies
+        rose = lay and not self._monitor.lies and self._machine.state not in ON_PAD
+        if rose and self._requests.asked(ActionKind.DISARM):
+            # it may fly now, and what is refused is asked for again, by force
+            self._requests.withdraw(ActionKind.DISARM)
+            self.withdraws = True
         contact = self._steering.contact
         if left_pad or (self._machine.state in WITHDRAWS and self.phase is not before):
             self.withdraws = True

@@ -67,6 +67,13 @@ class Requests:
         self._fates.clear()
         self._news.clear()
 
+    def withdraw(self, kind: ActionKind) -> None:
+        """Drop what is open of a kind and what was granted: its reason is gone."""
+        if self.in_doubt(kind):
+            self._in_doubt_before |= {kind}
+        self._pending.pop(kind, None)
+        self._fates.pop(kind, None)
+
     def granted(self, kind: ActionKind) -> bool:
         """Whether a request of this kind was accepted since `forget`."""
         return kind in self._fates and self._fates[kind].granted

@@ -929,11 +929,30 @@ def test_a_vehicle_that_is_dragged_on_its_side_is_disarmed_on(phase: Phase) -> N
 
 def test_a_refused_disarming_of_a_vehicle_that_lies_no_longer_means_nothing() -> None:
     w, _ = on_its_side(Phase.APPROACH)
-    w.fly(6.0)
+    w.fly(15.0, until=lambda w: w.flight.told("refused") != [])
     w.tilt_rad, w.jolted = 0.0, lambda _t: False
-    w.fly(2.0)
+    w.fly(5.0)
     assert w.flight.told("refused") == ["disarm refused 4 times: Denied: not now"]
     assert w.flight.told("unexpected") == []
+    assert not w.ended
+
+
+@pytest.mark.parametrize("phase", [Phase.SEARCH, Phase.APPROACH])
+def test_a_vehicle_that_is_upright_again_is_not_disarmed(phase: Phase) -> None:
+    # GIVEN a disarming that is asked for because it lies on its side, and that the autopilot refuses at first
+    w, _ = on_its_side(phase)
+    w.fly(2.0)
+    asked = [kind for _, kind in w.autopilot.heard].count(ActionKind.DISARM)
+    assert asked > 0
+    # WHEN it is upright again
+    w.tilt_rad, w.jolted, w.autopilot.refuse = 0.0, lambda _t: False, {}
+    withdrawn = list[bool]()
+    w.each = lambda w, _step: withdrawn.append(w.planner.withdraws)
+    w.fly(5.0)
+    # THEN what was asked for is withdrawn at once, and not repeated
+    assert any(withdrawn[:3])
+    assert [kind for _, kind in w.autopilot.heard].count(ActionKind.DISARM) == asked
+    assert w.autopilot.armed
     assert not w.ended
 
 
