@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from calibration.clipping import clipped_axes
 from calibration.magnetometer.ellipsoid import (
     Asked,
     EllipsoidFit,
@@ -149,6 +150,7 @@ def _figures(
         dip=None if beside is None else dip_of(*beside),
         true_dip_deg=None if field is None else field.dip_deg,
         alignment=alignment,
+        clipped=clipped_axes(recording.raw, recording.raw),
     )
 
 

@@ -56,6 +56,7 @@ class Figures:
     dip: Dip | None = None
     true_dip_deg: float | None = None
     alignment: AxisMisalignment | None = None
+    clipped: tuple[int, ...] = ()
 
 
 def flatness(raw: FloatArray) -> float:
@@ -66,7 +67,13 @@ def flatness(raw: FloatArray) -> float:
 
 def judge(fit: EllipsoidFit, figures: Figures) -> tuple[Verdict, tuple[str, ...]]:
     """The verdict, and the reasons why it is no better, the worst first."""
-    found = [*_coverage(figures), *_fit(fit, figures), *_field(figures), *_alignment(figures)]
+    found = [
+        *_clipping(figures),
+        *_coverage(figures),
+        *_fit(fit, figures),
+        *_field(figures),
+        *_alignment(figures),
+    ]
     refusals = tuple(text for refused, text in found if refused)
     if refusals:
         return "refused", refusals
@@ -74,6 +81,12 @@ def judge(fit: EllipsoidFit, figures: Figures) -> tuple[Verdict, tuple[str, ...]
 
 
 Finding = tuple[bool, str]
+
+
+def _clipping(figures: Figures) -> Iterator[Finding]:
+    for axis in figures.clipped:
+        text = f"the {'xyz'[axis]} axis is clipped: it reads its extreme value again and again"
+        yield True, f"{text}; expected readings within its range (a magnet nearby, or too small a range?)"
 
 
 def _coverage(figures: Figures) -> Iterator[Finding]:

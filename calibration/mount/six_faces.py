@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from calibration.clipping import clipped_axes
 from calibration.mount import FACES
 from calibration.mount.recording import ImuSamples, Indices, rows_of
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, euler_from_quat, quat_from_matrix
@@ -205,7 +206,7 @@ SAME_FORCE_M_S2: Final = 0.1
 class StaticInterval:
     """Means over one static interval: specific force (3,) m/s², rate (3,) rad/s; `samples` is their count.
 
-    `clipped` are the axes on which most samples read one value that no sample of the recording goes beyond.
+    `clipped` are the axes that read the end of their range (`clipped_axes`).
     """
 
     force: FloatArray
@@ -261,19 +262,9 @@ def _rest(inertial: ImuSamples, edges: Indices, begin: int, end: int) -> list[St
             len(times),
             float(times[0]),
             float(times[-1]),
-            _clipped(inertial.force[inside], inertial.force),
+            clipped_axes(inertial.force[inside], inertial.force),
         )
     ]
-
-
-def _clipped(force: FloatArray, recorded: FloatArray) -> tuple[int, ...]:
-    """The axes of samples at rest (n, 3) that most often read the end of what was recorded (m, 3).
-
-    Noise spreads a force within the range over many values. Equal but for the arithmetic of the mounting.
-    """
-    ends = (recorded.min(axis=0), recorded.max(axis=0))
-    shares = [np.isclose(force, end).mean(axis=0) for end in ends]
-    return tuple(int(axis) for axis in np.flatnonzero(np.maximum(*shares) > 0.5))
 
 
 # ---------------------------------------------------------------- guide

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.clipping import clipped_axes
 from calibration.magnetometer.calibrate import Calibrated, TrueField, UnfitError, calibrate
 from calibration.magnetometer.collect import drawn_map, hint, progress, text_map
 from calibration.magnetometer.ellipsoid import (
@@ -289,6 +290,21 @@ def test_between_the_bounds_it_is_usable(changes: dict[str, float]) -> None:
     verdict, reasons = judge(GOOD_FIT, replace(GOOD, **changes))  # type: ignore[arg-type]
     assert verdict == "usable"
     assert len(reasons) == 1
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_clipped_axis_is_named(axis: int) -> None:
+    raw = turned(1, half=False).raw
+    raw[:, axis] = np.minimum(raw[:, axis], np.quantile(raw[:, axis], 0.9))
+    quality = calibrated(raw).file.quality
+    assert quality.verdict == "refused"
+    assert quality.reasons[0].startswith(f"the {'xyz'[axis]} axis is clipped: ")
+
+
+def test_coarse_steps_are_not_taken_for_a_clipped_axis() -> None:
+    for seed in range(20):
+        raw = np.round(turned(seed, half=False, noise=0.002).raw / 0.6) * 0.6
+        assert clipped_axes(raw, raw) == ()
 
 
 def test_a_turn_about_one_axis_alone_is_refused() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from calibration.clipping import clipped_axes
 from calibration.mount import FACES
 from calibration.mount.imu_calibration import accelerometer_calibration, gyro_calibration, mounting_line
 from calibration.mount.recording import ImuSamples
@@ -104,6 +105,15 @@ def test_an_axis_at_the_end_of_its_range_is_refused(mounting: tuple[float, float
         f"the z axis reads {value} m/s² and no more" for value in ("-9.00", "9.00")
     ]
     assert all("; expected its noise, within its range (too small a range" in line for line in told)
+
+
+@pytest.mark.parametrize("noise_steps", [0.05, 0.2, 0.3])
+def test_a_quiet_sensor_with_coarse_steps_is_within_its_range(noise_steps: float) -> None:
+    rng, down = np.random.default_rng(0), np.array([0.01, -0.02, -9.8])
+    for _ in range(200):
+        force = down + rng.uniform(-0.1, 0.1, 3) + 0.0024 * noise_steps * rng.standard_normal((700, 3))
+        coarse = 0.0024 * np.round(force / 0.0024)
+        assert clipped_axes(coarse, np.vstack((coarse, -coarse))) == ()
 
 
 def test_more_attitudes_give_the_skew() -> None:
