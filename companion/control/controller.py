@@ -169,13 +169,14 @@ class Controller:
             return self._wait_for_imu(plan, plan.reference, vehicle, pad, now_s, obeyed=obeyed)
         if self._flying and not self._stopped:
             # on the way down the air under the rotors is met like any other until the feet may carry
-            sinks = float(plan.reference.velocity_m_s[0, 2]) > 0.0 and plan.unloading == 0.0
+            sinks = float(plan.reference.velocity_m_s[0, 2]) > 0.0
             self._plant.observe(
                 vehicle,
                 elapsed_s,
                 learns=link.fresh,
                 feet_near=plan.feet_near,
-                may_stand=plan.feet_near and not sinks,
+                may_stand=plan.feet_near and (plan.unloading > 0.0 or not sinks),
+                sinks=sinks,
             )
         else:
             self._begin(vehicle)

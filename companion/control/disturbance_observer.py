@@ -121,18 +121,24 @@ class SlowDisturbanceObserver:
     ) -> None:
         """Take in measured velocity, acceleration and what the thrust made, as late as the acceleration.
 
-        A measurement that is not finite is passed over. What holds up a vehicle that `may_stand` is no air
-        beyond what was known before its `feet_near` anything.
+        A measurement that is not finite is passed over. With `feet_near` it is not that of free air, and of a
+        vehicle that `may_stand` no further lift is learnt.
         """
+        before_m_s2 = self._axes[2].lasting
         if all(map(math.isfinite, (*velocity, *acceleration, *thrust))):
             for axis, v, a, f in zip(self._axes, velocity, acceleration, thrust, strict=True):
                 axis.correct(v, a, f, elapsed_s, self._maximum_m_s2)
         down = self._axes[2]
-        if not feet_near:
-            self._free_down_m_s2 = down.lasting
         if may_stand:
             # a downdraught that was known may end: that it holds up less is no surface
-            down.lasting = max(down.lasting, min(0.0, self._free_down_m_s2))
+            down.lasting = max(down.lasting, min(0.0, before_m_s2))
+        if not feet_near:
+            self._free_down_m_s2 = down.lasting
+
+    def leave_surface(self) -> None:
+        """Forget the lift that was learnt near a surface: it is gone with it."""
+        down = self._axes[2]
+        down.lasting = max(down.lasting, min(0.0, self._free_down_m_s2))
 
     def keep(self, velocity_ned_m_s: Vector3) -> None:
         """Keep what lasts: whether the commands are flown is not known."""

@@ -80,7 +80,7 @@ class HoverThrust:
 
         `predicted_down_m_s2`: what the thrust makes by the present estimate, as late as it is measured. What
         carries more than the thrust may be a pad under the feet, and only lifts: that is followed slowly, and
-        where it `may_stand` not beyond what was known before its `feet_near` anything.
+        where it `may_stand` not at all. With `feet_near` what is learnt is not that of free air.
         """
         felt, made = (1.0 - a / GRAVITY_M_S2 for a in (acceleration_down_m_s2, predicted_down_m_s2))
         if not (math.isfinite(felt) and math.isfinite(made)) or elapsed_s <= 0.0:
@@ -100,12 +100,17 @@ class HoverThrust:
             self._variance = max(self._variance, (self._mean_g**2 - by_air_g2) / thrust**2)
         gain = self._variance * thrust / (self._variance * thrust**2 + AIR_G2_S / elapsed_s)
         self._lift += gain * innovation_g
+        if may_stand:
+            self._lift = min(self._lift, before)
         if not feet_near:
             self._free_lift = self._lift
-        if may_stand:
-            self._lift = min(self._lift, self._free_lift)
         self._mean_g -= gain * thrust * innovation_g  # so much of it is explained from now on
         self._variance *= 1.0 - gain * thrust
+        return self._lift / before
+
+    def leave_surface(self) -> float:
+        """Forget the lift that was learnt near a surface; returns by how much it has changed, as a factor."""
+        before, self._lift = self._lift, min(self._lift, self._free_lift)
         return self._lift / before
 
     def doubt(self, told: Mapping[str, float | None]) -> str:

@@ -67,6 +67,7 @@ class Plant:
         self._held = HeldThrust(lags_s[2], sensor_lag_s)
         self._history.full_thrust_m_s2 = GRAVITY_M_S2 / self.hover.value
         self._observed_s, self._weighed_s = 0.0, -math.inf
+        self._feet_near = False
 
     @property
     def disturbance_ned_m_s2(self) -> Vector3:
@@ -117,17 +118,22 @@ class Plant:
         learns: bool = True,
         feet_near: bool = False,
         may_stand: bool = False,
+        sinks: bool = True,
     ) -> None:
         """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago.
 
         Without `learns` what was commanded may explain nothing: only the wind, which no command explains, is
-        learnt. With `may_stand` what holds it up may be what it stands on, and counts no more than it did
-        before its `feet_near` anything: it is gone as soon as the vehicle rises, which would first take back
-        the thrust that was given up for it.
+        learnt. What holds up a vehicle that `may_stand` may be what it stands on, and is not learnt. What was
+        learnt with `feet_near` anything goes with the first command that does not sink: it is gone as soon as
+        the vehicle rises, which would first take back the thrust that was given up for it.
         """
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
             self.lasting.predict(self._wanted(command, vehicle), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)
+        near, self._feet_near = self._feet_near, feet_near
+        if near and not (feet_near and sinks):
+            self.lasting.leave_surface()
+            self._weigh(self.hover.leave_surface())
         acceleration = vehicle.acceleration_ned_m_s2
         self._wind.step(vehicle, elapsed_s)
         if not learns:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from companion.base.geometry import GRAVITY_M_S2, Quaternion, Vector3, quat_rotate_inverse
+from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import PadState, RangeSample, VehicleState
 from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig, VehicleConfig
@@ -45,8 +45,7 @@ class FeetMotion:
     """How high the lowest foot is over what they are to stand on (m), and how fast it sinks (m/s).
 
     By the leg height of vehicle file and measurements. None where nothing tells; standard deviations beside.
-    The sink is the reference point's; `turns_m_s` of it leave the lowest foot where it is: the vehicle turns
-    level about it. `felt_s` is when the IMU last felt it, `asked_m_s` the sink that is asked for.
+    `felt_s` is when the IMU last felt it, `asked_m_s` the sink that is asked for.
     """
 
     over_m: float | None
@@ -55,7 +54,6 @@ class FeetMotion:
     sink_std_m_s: float
     felt_s: float
     asked_m_s: float
-    turns_m_s: float = 0.0
 
     def low(self, margin_m: float) -> bool:
         """Whether the foot is down by its height."""
@@ -77,16 +75,15 @@ def feet_motion(
     vehicle: VehicleConfig,
     obeys: bool,
     felt_s: float,
-    hangs: tuple[float, float] = (0.0, 0.0),
+    hangs_m: float = 0.0,
     state: VehicleState | None = None,
 ) -> FeetMotion:
     """The feet's motion over the pad by camera and IMU, or by the echo where that is surer and agrees.
 
     An autopilot that does not obey may hold its height by itself: its sink tells only where the height has
     the feet down. The pad's height and motion are known for `blind_s`, as surely as they say; after that the
-    vehicle's motion is taken, `state`, if it is given. `hangs`: of `lowest_foot`.
+    vehicle's motion is taken, `state`, if it is given.
     """
-    hangs_m, drops_m_s = hangs
     height_m, std_m = math.nan, math.inf
     sink_m_s, sink_std_m_s = math.nan, math.inf
     if sight is not None and sight.age_s <= config.blind_s:
@@ -105,23 +102,15 @@ def feet_motion(
     over_m = height_m - vehicle.leg_height_m - hangs_m if known else None
     down = over_m is not None and over_m <= config.contact_margin_m
     tells = (obeys or down) and math.isfinite(sink_m_s + sink_std_m_s)
-    feet_sink_m_s = sink_m_s if tells else None
-    return FeetMotion(over_m, std_m, feet_sink_m_s, sink_std_m_s, felt_s, asked_m_s, -drops_m_s)
+    return FeetMotion(over_m, std_m, sink_m_s if tells else None, sink_std_m_s, felt_s, asked_m_s)
 
 
-def lowest_foot(
-    vehicle: VehicleConfig, attitude: Quaternion, rate_body_rad_s: Vector3
-) -> tuple[float, float]:
-    """How much lower the lowest foot of a tilting vehicle is (m), and how fast that grows (m/s).
+def lowest_foot_m(vehicle: VehicleConfig, tilt_rad: float) -> float:
+    """How much lower the lowest foot of a tilting vehicle is.
 
     One that holds such a vehicle up is dragged over the pad by what that does to come back over the middle.
     """
-    x, y, z = quat_rotate_inverse(attitude, (0.0, 0.0, 1.0))  # straight down, in the body's axes
-    p, q, _ = rate_body_rad_s
-    tilt_rad, sideways = math.atan2(math.hypot(x, y), z), math.hypot(x, y) + _TINY
-    if tilt_rad > _MOST_FOOT_TILT_RAD:
-        return vehicle.foot_reach_m * math.sin(_MOST_FOOT_TILT_RAD), 0.0
-    return vehicle.foot_reach_m * math.hypot(x, y), vehicle.foot_reach_m * z * (p * y - q * x) / sideways
+    return vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
 
 
 class ContactFilter:
@@ -201,16 +190,14 @@ class ContactFilter:
         """Bayes' rule over what was felt: both modes' expectations against the sink that is felt."""
         expected_m_s = feet.asked_m_s + (before_m_s - feet.asked_m_s) * math.exp(-elapsed_s / SINK_TAU_S)
         surprise_m_s, noise = sink_m_s - expected_m_s, feet.sink_std_m_s**2
-        # of the lowest foot: about it a tilting vehicle turns level, and goes on down
-        foot_m_s, foot_before_m_s = sink_m_s - feet.turns_m_s, before_m_s - feet.turns_m_s
-        left_m_s = foot_before_m_s * math.exp(-elapsed_s / _LEGS_TAU_S)
+        left_m_s = before_m_s * math.exp(-elapsed_s / _LEGS_TAU_S)
         flies = _likelihood(surprise_m_s, max(self._scatter_m2_s3, _GUSTS_M2_S3) * elapsed_s + noise)
-        rests = _likelihood(foot_m_s - left_m_s, _RESTS_M2_S3 * elapsed_s + noise)
-        hits = _density(foot_m_s, _HIT_M_S**2 + noise)
+        rests = _likelihood(sink_m_s - left_m_s, _RESTS_M2_S3 * elapsed_s + noise)
+        hits = _density(sink_m_s, _HIT_M_S**2 + noise)
         stood, flew = self.probability, 1.0 - self.probability
         way_m = max(feet.asked_m_s, before_m_s, 0.0) * elapsed_s
         # a height alone shows no contact, however little is known of the sink: it has to stop
-        stops = foot_m_s <= max(0.0, min(foot_before_m_s, SLOWEST_SINK * feet.asked_m_s))
+        stops = sink_m_s <= max(0.0, min(before_m_s, SLOWEST_SINK * feet.asked_m_s))
         meets = -math.expm1(-self._hazard_m(feet) * way_m) if stops else 0.0
         leaves = elapsed_s / _STANDS_FOR_S
         stands = stood * (1.0 - leaves) * rests + flew * meets * hits

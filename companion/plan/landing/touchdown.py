@@ -51,7 +51,7 @@ from companion.plan.landing.contact_filter import (
     ContactFilter,
     FeetMotion,
     feet_motion,
-    lowest_foot,
+    lowest_foot_m,
 )
 from companion.plan.landing.levelling import SLOWEST_SINK, Levelling
 from companion.plan.landing.relative_state import vehicle_motion
@@ -217,9 +217,8 @@ class TouchdownSequence:
             self._lift_off(sight, now_s)
             return MissionEvent.MISALIGNED, slides
         # far aside it tilts because it flies back or escapes: it is not about to stand
-        hangs = 0.0, 0.0
-        if inputs.vehicle is not None and not (sight is not None and self._escapes(sight)):
-            hangs = lowest_foot(self._vehicle, inputs.vehicle.attitude, inputs.vehicle.rate_body_rad_s)
+        tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self._success.tilt.tilt_rad
+        hangs_m = lowest_foot_m(self._vehicle, tilt_rad)
         asked_m_s, obeys = self._generator.at(now_s).velocity_m_s[2], not inputs.link.silent
         feet = feet_motion(
             sight,
@@ -230,7 +229,7 @@ class TouchdownSequence:
             vehicle=self._vehicle,
             obeys=obeys,
             felt_s=now_s - unfelt_s,
-            hangs=hangs,
+            hangs_m=hangs_m,
         )
         self.contact.update(feet, now_s, landed=inputs.autopilot.landed is LandedState.ON_GROUND)
         blind = sight is not None and sight.age_s > self._config.blind_s
@@ -238,7 +237,7 @@ class TouchdownSequence:
         stops = obeys and not seen and _stopped(feet, inputs.vehicle if blind else None)
         stands_s = self._held.held_s("stands", stops, feet.felt_s)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
-        feet_m = self._vehicle.leg_height_m + hangs[0] + self._config.contact_margin_m
+        feet_m = self._vehicle.leg_height_m + hangs_m + self._config.contact_margin_m
         short = echo_m is not None and echo_m <= feet_m
         within_hand = obeys and sight is not None and self._within_hand(sight, unfelt_s)
         self.short_echoes.note(inputs.range if within_hand and short else None)
