@@ -101,7 +101,7 @@ class TouchdownConfig(StrictModel):
     """Largest tilt of a swinging deck at contact. Raise it for a wide landing gear on a rough sea"""
     giving_up_s: float = Field(default=30.0, ge=3.0, le=360.0)
     """Time after which a try that is not committed has failed. At first a contact within the limits has to be
-    likely at 90 %, and stay so at 70 %, at the end at 50 %. Raise it on a rough deck"""
+    likely at 90 %, at the end at 50 %. Raise it on a rough deck"""
     contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
     """Sink rate at contact, relative to the pad; lower it for fragile legs; higher is worse: a harder
     contact, and a bounce"""

@@ -63,10 +63,10 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 _GIVE_WAY_S = 0.3
 _HELD_UP = 1.0 / 3.0  # of the sink asked for: it goes on down without a vehicle that sinks less
 _FASTER_M_S = 0.16  # a planned sink may be exceeded by this where nothing feels it
-# Probability of a contact within the limits: it commits at once to what is so likely, and goes on down while
-# it is nearly so: another try costs seconds, a failed contact may cost the vehicle. Both fall to what is
-# likelier than not by `giving_up_s`. What has been less likely for so long it breaks off.
-_COMMITS, _GOES_ON, _AT_LAST = 0.9, 0.7, 0.5
+# Probability of a contact within the limits: it commits at once to what is so likely, after `giving_up_s` to
+# what is likelier than not; what has been less likely than that for so long it breaks off.
+_COMMITS = 0.9
+_BREAKS_OFF = 0.5
 _WRONG_S = 0.1
 # A sink is stopped at this rate, after `RESPONDS_S`: without that room no break-off begins.
 _STOPS_M_S2 = 2.5
@@ -143,7 +143,7 @@ class TouchdownSequence:
         ready = (
             sight.unseen_s <= UNSEEN_S
             and sight.height_m >= self._wait_height_m - WITHIN_HAND_M
-            and likely >= self._enough(_COMMITS, now_s)
+            and likely >= _COMMITS - (_COMMITS - _BREAKS_OFF) * waited_s / c.giving_up_s
             and self._generator.avoidance.free_for((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
         if self._held.held_s("settled", ready, now_s) >= c.settled_s:
@@ -349,13 +349,7 @@ class TouchdownSequence:
         likely, worst = 1.0, ""
         if sight.unseen_s <= UNSEEN_S:  # else it may not be known yet when the contact is due
             likely, worst = self._likely(sight, max(0.0, self.levelling.due_s - now_s))
-        short = likely < self._enough(_GOES_ON, now_s)
-        return worst if self._held.held_s("wrong", short, now_s) >= _WRONG_S else ""
-
-    def _enough(self, at_first: float, now_s: float) -> float:
-        """How likely a success has to be by now: less, the longer the try lasts."""
-        spent = min(1.0, (now_s - self._since_s) / self._config.giving_up_s)
-        return at_first + (_AT_LAST - at_first) * spent
+        return worst if self._held.held_s("wrong", likely < _BREAKS_OFF, now_s) >= _WRONG_S else ""
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:
         """Whether it can stop and rise before a foot touches what is so far below."""

@@ -115,7 +115,7 @@ def test_what_does_not_last_is_no_reason_to_break_off(off: PadState, good: PadSt
 @pytest.mark.parametrize(
     ("aside", "back_m_s", "height", "broken"),
     [
-        (CONFIG.break_off_lateral_m - 0.02, 0.0, LEG_M + 0.09, False),
+        (CONFIG.break_off_lateral_m, 0.0, LEG_M + 0.09, False),
         (CONFIG.break_off_lateral_m + 0.02, 0.0, LEG_M + 0.09, True),
         # one that is on its way is back by the contact, one that stays there is not
         (CONFIG.break_off_lateral_m + 0.02, 0.1, LEG_M + 0.2, False),
