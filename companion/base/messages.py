@@ -467,11 +467,15 @@ class DescentCone:
 
 @dataclass(frozen=True, slots=True)
 class LevelOff:
-    """When (app's clock) the vehicle may be tilted by no more than tilt_rad: its feet are about to touch."""
+    """When (app's clock) the vehicle may be tilted by no more than tilt_rad: its feet are about to touch.
+
+    Until then it may be tilted by no more than before_rad.
+    """
 
     from_s: float
     until_s: float
     tilt_rad: float
+    before_rad: float = math.pi / 2.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,7 +137,7 @@ class TouchdownSequence:
         if sight is None or sight.unseen_s > self._landing.pause_unseen_s:
             unseen_s = self._landing.pause_unseen_s
             return MissionEvent.PAD_LOST, f"not seen for {unseen_s:.1f} s just above the pad"
-        likely, worst = self._likely(sight, self._sinks_for_s(now_s), now_s)
+        likely, worst = self._likely(sight, self._sinks_for_s(now_s))
         if waited_s >= c.giving_up_s:
             return MissionEvent.MISALIGNED, f"not settled in {waited_s:.0f} s: {worst}"
         ready = (
@@ -161,13 +161,12 @@ class TouchdownSequence:
         self.levelling.reset()
         self._held.end()
 
-    def _likely(self, sight: PadState, ahead_s: float, now_s: float) -> tuple[float, str]:
+    def _likely(self, sight: PadState, ahead_s: float) -> tuple[float, str]:
         """How likely a contact so much later is within the limits, and what speaks most against it."""
         success, tilt = self._success, self._success.tilt
         needed_m_s2 = tilt.predicted_acceleration_m_s2(ahead_s)
         factors = success.factors(
             sight,
-            self._generator.at(now_s),
             ahead_s,
             sink_m_s=max(self.levelling.planned_m_s, self.levelling.sink_m_s(needed_m_s2)),
             drift=self.levelling.drift(needed_m_s2, tilt.scatter_m2_s4, success.sink_std_m_s, ahead_s),
@@ -302,10 +301,7 @@ class TouchdownSequence:
         # that the ground's cushion slows is pressed after it; one that stands is told by not following it.
         tilts_on = not self.levelling.begun
         self._give_way(sight if tilts_on and not held_up else None, now_s)
-        reference, tilt = self._generator.at(now_s), self._success.tilt
-        self.levelling.expect(sight, tilt, reference, now_s)
-        if course := self.levelling.lead(reference, tilt, now_s):
-            self._generator.lead(course)
+        self.levelling.expect(sight, self._success.tilt, now_s)
         if high and sight.unseen_s <= UNSEEN_S and sight.height_m < self._lowest_m:
             # a gust may have held it up: while it comes lower than before, the contact is due by what is seen
             self._lowest_m = sight.height_m
@@ -326,8 +322,7 @@ class TouchdownSequence:
         firm_m_s = self.levelling.sink_m_s(self._success.tilt.predicted_acceleration_m_s2(0.0))
         if firm_m_s > self.levelling.planned_m_s:
             self.levelling.planned_m_s = firm_m_s
-            blend_s = max(SINK_TAU_S, self._generator.end_s - now_s)
-            self._generator.sink(firm_m_s, blend_s, now_s, leads=True)
+            self._generator.sink(firm_m_s, max(SINK_TAU_S, self._generator.end_s - now_s), now_s)
 
     def _escapes(self, sight: PadState) -> bool:
         """Whether it is so far aside that it would miss the pad."""
@@ -353,7 +348,7 @@ class TouchdownSequence:
         """Why this landing would probably be hard or off the mark; "" while it is fine."""
         likely, worst = 1.0, ""
         if sight.unseen_s <= UNSEEN_S:  # else it may not be known yet when the contact is due
-            likely, worst = self._likely(sight, max(0.0, self.levelling.due_s - now_s), now_s)
+            likely, worst = self._likely(sight, max(0.0, self.levelling.due_s - now_s))
         return worst if self._held.held_s("wrong", likely < _BREAKS_OFF, now_s) >= _WRONG_S else ""
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:

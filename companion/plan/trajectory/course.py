@@ -231,11 +231,6 @@ def stretched(
     return way
 
 
-def within(way: Trajectory, limits: GuidanceConfig) -> bool:
-    """Whether it breaks no limit of speed or acceleration, unless its start does already."""
-    return _excess(way, limits, ZERO3) <= _NEAR_ENOUGH
-
-
 def _excess(way: PlannedPath, limits: GuidanceConfig, target_m_s: Vector3) -> float:
     """By what factor a way should last longer."""
     steps = CHECKED * (len(way.legs) if isinstance(way, Course) else 1)

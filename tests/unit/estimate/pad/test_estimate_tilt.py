@@ -68,9 +68,7 @@ def test_tilt_is_predicted_through_a_quarter_of_the_swing(seconds: float) -> Non
 def pad_level(pad: PadState, ahead_s: float) -> float:
     """The probability that a contact so much later meets it level enough."""
     success = SuccessEstimate(TouchdownConfig())
-    return success.factors(pad, pad.vehicle_from_pad, ahead_s, sink_m_s=0.2, drift=(0.0, 0.0), slack=1.0)[
-        "pad tilt"
-    ]
+    return success.factors(pad, ahead_s, sink_m_s=0.2, drift=(0.0, 0.0), slack=1.0)["pad tilt"]
 
 
 def test_a_slope_that_does_not_swing_is_met_at_any_time() -> None:

@@ -178,7 +178,7 @@ def test_a_gust_on_the_way_down_breaks_it_off() -> None:
     before = touchdown.committed
     waited(touchdown, 6.0, 0.5, 1.2)
     assert (before, touchdown.committed) == (True, False)
-    assert "lateral speed within its limit" in touchdown.broken_off_by
+    assert "lateral offset within its limit" in touchdown.broken_off_by
     assert touchdown.level_off() is None
 
 

@@ -162,6 +162,5 @@ def test_what_would_break_it_off_at_once_is_no_moment_to_commit(tilt_m_s2: float
     for _ in range(20):
         touchdown.note_tilt(tilting(tilt_m_s2), touchdown.now_s + CYCLE_S)
         reference = touchdown.reference.at(touchdown.now_s + CYCLE_S)
-        north_m, east_m, down_m = reference.position_m
-        touchdown.cycles([sight(north_m, -down_m, reference.velocity_m_s, east=east_m)])
+        touchdown.cycles([sight(height=-reference.position_m[2], velocity=reference.velocity_m_s)])
     assert (touchdown.committed, touchdown.broken_off_by) == (True, "")

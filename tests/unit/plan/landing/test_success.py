@@ -19,7 +19,6 @@ from tests.unit.plan.landing.touchdown_attempt import CONFIG, CYCLE_S, WAIT_M, s
 
 Array = npt.NDArray[np.float64]
 SINK_M_S = CONFIG.contact_speed_m_s
-HOVERS = Motion((0.0, 0.0, -WAIT_M))
 
 
 def over_pad() -> ReferenceGenerator:
@@ -46,7 +45,7 @@ def factors(
     slack: float = 1.0,
 ) -> dict[str, float]:
     return success.factors(
-        seen, HOVERS, ahead_s, sink_m_s=sink_m_s, drift=drift, slack=slack
+        seen, ahead_s, sink_m_s=sink_m_s, drift=drift, slack=slack
     )  # fmt: skip
 
 
