@@ -208,6 +208,7 @@ class EstimatorInputs:
 
 
 IMU_TIMEOUT_S: Final = 1.5  # without the IMU for longer there is no state of the vehicle to report
+ACCELERATION_FILTER_S: Final = 0.02  # low-pass of `VehicleState`'s acceleration and side force
 IMU_PREDICTED_S: Final = 0.1  # beyond its newest sample motion is carried on for so long; then it is unknown
 
 
@@ -467,15 +468,11 @@ class DescentCone:
 
 @dataclass(frozen=True, slots=True)
 class LevelOff:
-    """When (app's clock) the vehicle may be tilted by no more than tilt_rad: its feet are about to touch.
-
-    Until then it may be tilted by no more than before_rad.
-    """
+    """When (app's clock) the vehicle may be tilted by no more than tilt_rad: its feet are about to touch."""
 
     from_s: float
     until_s: float
     tilt_rad: float
-    before_rad: float = math.pi / 2.0
 
 
 @dataclass(frozen=True, slots=True)

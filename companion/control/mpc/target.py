@@ -73,18 +73,17 @@ def make_target(
         floor,
         cone,
         hover_thrust,
-        horizontal_bound_m_s2=None
-        if reference.level_off is None
-        else _horizontal_bound(reference.level_off, times_s),
+        horizontal_bound_m_s2=_horizontal_bound(reference.level_off, times_s),
     )
 
 
-def _horizontal_bound(level_off: LevelOff, times_s: FloatArray) -> FloatArray:
-    """The greatest horizontal input (N,) over each of the steps between `times_s` (N+1,)."""
+def _horizontal_bound(level_off: LevelOff | None, times_s: FloatArray) -> FloatArray | None:
+    """The greatest horizontal input (N,) over each of the steps between `times_s` (N+1,); None: no bound."""
+    if level_off is None or times_s[-1] < level_off.from_s:
+        return None
     middle_s = 0.5 * (times_s[1:] + times_s[:-1])
-    level, before = (GRAVITY_M_S2 * math.tan(tilt) for tilt in (level_off.tilt_rad, level_off.before_rad))
-    bound = np.where(middle_s < level_off.from_s, before, level)
-    return np.where(middle_s <= level_off.until_s, bound, np.inf)
+    within = (middle_s >= level_off.from_s) & (middle_s <= level_off.until_s)
+    return np.where(within, GRAVITY_M_S2 * math.tan(level_off.tilt_rad), np.inf)
 
 
 def stop_reference(time_s: float, position_ned_m: Vector3, heading_rad: float) -> Reference:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
@@ -22,12 +20,10 @@ from companion.base.geometry import (
     subtract,
     vector3,
 )
-from companion.base.messages import ImuSample
+from companion.base.messages import ACCELERATION_FILTER_S, ImuSample
 from companion.estimate.ahrs.complementary import ACCEL_AVERAGE_S
 from companion.estimate.ahrs.orientation import Orientation
 from companion.estimate.motion import MotionHistory
-
-ACCELERATION_FILTER_S: Final = 0.02  # low-pass of acceleration and side force given to planner and controller
 
 
 class InertialMotion:

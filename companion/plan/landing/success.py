@@ -18,6 +18,7 @@ from typing import Final
 
 from companion.base.geometry import subtract
 from companion.base.messages import PadState, VehicleState
+from companion.base.motion import Motion
 from companion.config import TouchdownConfig
 from companion.plan.debounce import StepClock
 from companion.plan.inputs import LONGEST_CYCLE_S
@@ -53,7 +54,7 @@ class SuccessEstimate:
     ) -> None:
         """Take in the tilt, and how far it is off the reference, while that is in the pad's frame."""
         if vehicle is not None:
-            self.tilt.note(vehicle.attitude, sight, now_s)
+            self.tilt.note(vehicle, sight, now_s)
         share = -math.expm1(-min(LONGEST_CYCLE_S, self._clock.step_s(now_s)) / LEARNS_S)
         by_pad = generator.active and generator.origin == "pad"
         if not by_pad or sight is None or sight.unseen_s > UNSEEN_S:
@@ -72,12 +73,20 @@ class SuccessEstimate:
         return math.sqrt(self._errors[2])
 
     def factors(
-        self, sight: PadState, ahead_s: float, *, sink_m_s: float, drift: tuple[float, float], slack: float
+        self,
+        sight: PadState,
+        reference: Motion,
+        ahead_s: float,
+        *,
+        sink_m_s: float,
+        contact: Motion,
+        drift: tuple[float, float],
+        slack: float,
     ) -> dict[str, float]:
         """The probabilities of a contact so much later that is within each limit, by what it limits.
 
-        `sink_m_s` is planned for it, `drift` the standard deviations (m/s, m) of what a level vehicle drifts
-        by until it touches; `slack` widens the limit aside.
+        `sink_m_s` is planned for it, `contact` how the reference itself touches, `drift` the standard
+        deviations (m/s, m) of what a level vehicle drifts by until then; `slack` widens the limit aside.
         """
         c = self._config
         offset, speed, sink = self._errors
@@ -86,12 +95,17 @@ class SuccessEstimate:
         tau_s = max(SINK_TAU_S, math.sqrt(offset / (speed + _TINY)))
         fades = fades_s / tau_s
         fade, kept, sink_kept = math.exp(-fades), _kept(fades), _kept(fades_s / SINK_TAU_S)
-        (x, y, _), (vx, vy, vz) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
+        actual = sight.vehicle_from_pad
+        x, y, _ = subtract(actual.position_m, reference.position_m)
+        vx, vy, _ = subtract(actual.velocity_m_s, reference.velocity_m_s)
+        vz = sight.relative_velocity_ned_m_s[2]
         x, y = x + as_it_is_s * vx, y + as_it_is_s * vy
-        aside_m = math.hypot(*(kept * e + fade * fades_s * v for e, v in ((x, vx), (y, vy))))
-        slip_m_s = math.hypot(
-            *(fade * ((1.0 - fades) * v - fades / tau_s * e) for e, v in ((x, vx), (y, vy)))
-        )
+        axes = zip((x, y), (vx, vy), contact.position_m, contact.velocity_m_s, strict=False)
+        ends = [
+            (p + kept * e + fade * fades_s * v, s + fade * ((1.0 - fades) * v - fades / tau_s * e))
+            for e, v, p, s in axes
+        ]
+        aside_m, slip_m_s = (math.hypot(*axis) for axis in zip(*ends, strict=True))
 
         def std(learnt: float, estimated: float, kept: float) -> float:
             return math.sqrt((1.0 - kept * kept) * learnt + (kept * estimated) ** 2)

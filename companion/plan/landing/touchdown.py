@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import math
 
+from companion.base.geometry import subtract
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.base.second_sources import SIGMA_THRESHOLD
@@ -53,10 +54,12 @@ from companion.plan.landing.contact_filter import (
     feet_motion,
     lowest_foot_m,
 )
+from companion.plan.landing.drift import LEADS_S
 from companion.plan.landing.levelling import SLOWEST_SINK, Levelling
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.success import SuccessEstimate
+from companion.plan.trajectory.course import Course
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # Time constant with which the reference's height follows the vehicle's.
@@ -137,7 +140,9 @@ class TouchdownSequence:
         if sight is None or sight.unseen_s > self._landing.pause_unseen_s:
             unseen_s = self._landing.pause_unseen_s
             return MissionEvent.PAD_LOST, f"not seen for {unseen_s:.1f} s just above the pad"
-        likely, worst = self._likely(sight, self._sinks_for_s(now_s))
+        sinks_for_s = self._sinks_for_s(now_s)
+        _, contact = self._lead(now_s + sinks_for_s, now_s)
+        likely, worst = self._likely(sight, contact, sinks_for_s, now_s)
         if waited_s >= c.giving_up_s:
             return MissionEvent.MISALIGNED, f"not settled in {waited_s:.0f} s: {worst}"
         ready = (
@@ -161,19 +166,36 @@ class TouchdownSequence:
         self.levelling.reset()
         self._held.end()
 
-    def _likely(self, sight: PadState, ahead_s: float) -> tuple[float, str]:
-        """How likely a contact so much later is within the limits, and what speaks most against it."""
+    def _likely(self, sight: PadState, contact: Motion, ahead_s: float, now_s: float) -> tuple[float, str]:
+        """How likely a contact so much later is within the limits, and what speaks most against it.
+
+        contact: how the reference itself touches.
+        """
         success, tilt = self._success, self._success.tilt
-        needed_m_s2 = tilt.predicted_acceleration_m_s2(ahead_s)
+        needed_m_s2 = abs(tilt.predicted_m_s2(ahead_s))
         factors = success.factors(
             sight,
+            self._generator.at(now_s),
             ahead_s,
             sink_m_s=max(self.levelling.planned_m_s, self.levelling.sink_m_s(needed_m_s2)),
+            contact=contact,
             drift=self.levelling.drift(needed_m_s2, tilt.scatter_m2_s4, success.sink_std_m_s, ahead_s),
             slack=self.slack,
         )
         worst = min(factors, key=lambda name: factors[name])
         return math.prod(factors.values()), f"{worst} within its limit with {100.0 * factors[worst]:.0f} %"
+
+    def _lead(self, due_s: float, now_s: float) -> tuple[Course | None, Motion]:
+        """The reference's way against the drift of a level vehicle, and how it touches, horizontally.
+
+        None: it levels off or is about to.
+        """
+        drift = self.levelling.drift_of(self._success.tilt.predicted_m_s2(due_s - now_s), due_s)
+        lead = None if self.levelling.begun else drift.lead(self._generator.at, self._generator.limits, now_s)
+        if lead is not None:
+            return lead, lead.at(due_s)
+        from_s = max(now_s, drift.begins_s)
+        return None, drift.contact(self._generator.at(from_s), from_s)
 
     def way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off, at most."""
@@ -185,7 +207,7 @@ class TouchdownSequence:
         """How long from a commit until the feet touch, by the sink that the tilt by then asks for."""
         height_m = -self._generator.at(now_s).position_m[2]
         slowest_s = self._way_s(height_m, self._config.contact_speed_m_s)
-        needed_m_s2 = self._success.tilt.predicted_acceleration_m_s2(slowest_s)
+        needed_m_s2 = abs(self._success.tilt.predicted_m_s2(slowest_s))
         return self._way_s(height_m, self.levelling.sink_m_s(needed_m_s2))
 
     def _way_s(self, height_m: float, sink_m_s: float) -> float:
@@ -202,11 +224,11 @@ class TouchdownSequence:
         self._lowest_m = math.inf
         self.contact = ContactFilter(c, self._leg_std_m)
         speed_m_s = self.levelling.planned_m_s = self.levelling.sink_m_s(
-            self._success.tilt.predicted_acceleration_m_s2(self._sinks_for_s(now_s))
+            abs(self._success.tilt.predicted_m_s2(self._sinks_for_s(now_s)))
         )
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
-        self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
+        self._contact_due_s = self.levelling.due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
     def sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Go down at a constant speed, until the feet touch or something is wrong."""
@@ -217,7 +239,7 @@ class TouchdownSequence:
             self._lift_off(sight, now_s)
             return MissionEvent.MISALIGNED, slides
         # far aside it tilts because it flies back or escapes: it is not about to stand
-        tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self._success.tilt.tilt_rad
+        tilt_rad = 0.0 if sight is not None and self._escapes(sight, now_s) else self._success.tilt.tilt_rad
         hangs_m = lowest_foot_m(self._vehicle, tilt_rad)
         asked_m_s, obeys = self._generator.at(now_s).velocity_m_s[2], not inputs.link.silent
         feet = feet_motion(
@@ -301,32 +323,38 @@ class TouchdownSequence:
         # that the ground's cushion slows is pressed after it; one that stands is told by not following it.
         tilts_on = not self.levelling.begun
         self._give_way(sight if tilts_on and not held_up else None, now_s)
-        self.levelling.expect(sight, self._success.tilt, now_s)
+        tilt = self._success.tilt
+        self.levelling.expect(sight, tilt, self._generator, now_s)
+        if tilts_on and sight.unseen_s <= UNSEEN_S and self.levelling.due_s - now_s <= LEADS_S:
+            self._sink_firmer(now_s)
+        lead, contact = self._lead(self.levelling.due_s, now_s)
+        if lead is not None and lead.start_s <= now_s:
+            self._generator.lead(lead)
         if high and sight.unseen_s <= UNSEEN_S and sight.height_m < self._lowest_m:
             # a gust may have held it up: while it comes lower than before, the contact is due by what is seen
             self._lowest_m = sight.height_m
             self._contact_due_s = max(self._contact_due_s, self.levelling.due_s)
-        if tilts_on and self.levelling.begun and sight.unseen_s <= UNSEEN_S:
-            self._sink_firmer(now_s)
-        wrong = self._wrong(sight, now_s)
+        wrong = self._wrong(sight, contact, now_s)
         if wrong and self._has_room(sight.height_m, sight.sink_m_s):
             return MissionEvent.BREAK_OFF, wrong
-        if high and sight.unseen_s <= UNSEEN_S and self._escapes(sight):
+        if high and sight.unseen_s <= UNSEEN_S and self._escapes(sight, now_s):
             # even without room: a foot that touches on the way up is better than one beside a small pad
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, f"lateral offset {100.0 * sight.lateral_m:.0f} cm while sinking"
         return None
 
     def _sink_firmer(self, now_s: float) -> None:
-        """Levelling off begins: by the tilt there is now, which a gust may have made since the commit."""
-        firm_m_s = self.levelling.sink_m_s(self._success.tilt.predicted_acceleration_m_s2(0.0))
+        """Before it comes against the drift: by what is needed now, which a gust may have changed."""
+        firm_m_s = self.levelling.sink_m_s(abs(self._success.tilt.predicted_m_s2(0.0)))
         if firm_m_s > self.levelling.planned_m_s:
             self.levelling.planned_m_s = firm_m_s
-            self._generator.sink(firm_m_s, max(SINK_TAU_S, self._generator.end_s - now_s), now_s)
+            blend_s = max(SINK_TAU_S, self._generator.end_s - now_s)
+            self._generator.sink(firm_m_s, blend_s, now_s, leads=True)
 
-    def _escapes(self, sight: PadState) -> bool:
-        """Whether it is so far aside that it would miss the pad."""
-        return sight.lateral_m > self.slack * self._config.escape_lateral_m
+    def _escapes(self, sight: PadState, now_s: float) -> bool:
+        """Whether it is so far aside that it would miss the pad: by itself, and not for a lead."""
+        x, y, _ = subtract(sight.vehicle_from_pad.position_m, self._generator.at(now_s).position_m)
+        return min(sight.lateral_m, math.hypot(x, y)) > self.slack * self._config.escape_lateral_m
 
     def _slides(self, sight: PadState) -> str:
         """Says so when feet that touch would slide off the pad, it having stopped, or escape; else "".
@@ -344,11 +372,12 @@ class TouchdownSequence:
         off = known and fast and math.hypot(x + slides_s * vx, y + slides_s * vy) > farthest_m
         return f"sliding over the pad at {speed_m_s:.1f} m/s" if off else ""
 
-    def _wrong(self, sight: PadState, now_s: float) -> str:
+    def _wrong(self, sight: PadState, contact: Motion, now_s: float) -> str:
         """Why this landing would probably be hard or off the mark; "" while it is fine."""
         likely, worst = 1.0, ""
         if sight.unseen_s <= UNSEEN_S:  # else it may not be known yet when the contact is due
-            likely, worst = self._likely(sight, max(0.0, self.levelling.due_s - now_s))
+            ahead_s = max(0.0, self.levelling.due_s - now_s)
+            likely, worst = self._likely(sight, contact, ahead_s, now_s)
         return worst if self._held.held_s("wrong", likely < _BREAKS_OFF, now_s) >= _WRONG_S else ""
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:

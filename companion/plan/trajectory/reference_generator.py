@@ -65,6 +65,7 @@ class ReferenceGenerator:
         self._trajectory: PlannedPath | None = None
         self._pad = STILL
         self._level: Trajectory | None = None
+        self._aside: Course | None = None
         self._rise: Trajectory | None = None
         self.heading_rad = 0.0
         self._turning = StepClock()
@@ -84,6 +85,8 @@ class ReferenceGenerator:
         if self._trajectory is None:
             raise RuntimeError("no reference yet: start one first")
         motion = self._trajectory.at(now_s)
+        if self._aside is not None:
+            motion = _with_down(self._aside.at(now_s), motion)
         return motion if self._level is None else _with_down(motion, self._level.at(now_s))
 
     @property
@@ -164,6 +167,7 @@ class ReferenceGenerator:
         if course is None:
             # held as it is: `rest` would forget that there is no way
             self._trajectory, self._level = self.avoidance.stop(self.at(now_s), now_s), None
+            self._aside = None
             return
         self._follow(course, now_s)
 
@@ -194,6 +198,7 @@ class ReferenceGenerator:
         )
         # a way round obstacles has its heights for a reason, and goes on in the next cycle
         self._level = self._between_ends(direct, start, target, now_s) if way is direct else None
+        self._aside = None
         self._trajectory = way
         self.speed_m_s = speed
         self.time_to_go_s = relative.duration_s if way is direct else max(0.0, way.end_s - now_s)
@@ -249,14 +254,23 @@ class ReferenceGenerator:
         self._level = level
         return climb_m
 
-    def sink(self, speed_m_s: float, blend_s: float, now_s: float) -> float:
-        """From here straight down to a constant speed that goes on; returns how far (m) the blend takes."""
+    def sink(self, speed_m_s: float, blend_s: float, now_s: float, *, leads: bool = False) -> float:
+        """From here straight down to a constant speed that goes on; returns how far (m) the blend takes.
+
+        leads: it goes on aside as `lead` has it.
+        """
         start = self.at(now_s)
         depth_m = 0.5 * (start.velocity_m_s[2] + speed_m_s) * blend_s
         final = Motion((0.0, 0.0, start.position_m[2] + depth_m), (0.0, 0.0, speed_m_s))
+        aside = self._aside if leads else None
         self._follow(plan(start, final, now_s, blend_s), now_s)
+        self._aside = aside
         self.speed_m_s = speed_m_s
         return depth_m
+
+    def lead(self, course: Course) -> None:
+        """From here aside by a course of its own, until something else is planned; the height goes on."""
+        self._aside = course
 
     def rise(self, now_s: float) -> None:
         """Come to a climb at once, straight up from where the reference goes; `fly_to` goes on from there.
@@ -303,6 +317,10 @@ class ReferenceGenerator:
         if self._trajectory is None:
             return None
         rows = self._trajectory.rows(now_s, self._count, self._step_s)
+        if self._aside is not None:
+            sideways = self._aside.rows(now_s, self._count, self._step_s)
+            for row, horizontal in zip(rows, sideways, strict=True):
+                row[:, :2] = horizontal[:, :2]
         if self._level is not None:
             upright = self._level.rows(now_s, self._count, self._step_s)
             for row, vertical in zip(rows, upright, strict=True):
@@ -316,7 +334,7 @@ class ReferenceGenerator:
 
     def _follow(self, trajectory: PlannedPath, now_s: float) -> None:
         self.avoidance.forget()
-        self._trajectory, self._level = trajectory, None
+        self._trajectory, self._level, self._aside = trajectory, None, None
         self.speed_m_s, self.time_to_go_s = 0.0, max(0.0, trajectory.end_s - now_s)
 
 

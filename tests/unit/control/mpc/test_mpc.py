@@ -740,15 +740,19 @@ def sideways(mpc: Mpc, target: Target) -> FloatArray:
     return np.hypot(solution.inputs_m_s2[:, 0], solution.inputs_m_s2[:, 1])
 
 
-@pytest.mark.parametrize("before_deg", [12.0, 90.0])
-def test_the_reference_tells_the_steps_before_and_within_the_time(before_deg: float) -> None:
-    still, before_rad = np.zeros((2, 3)), math.radians(before_deg)
-    level_off = LevelOff(5.3, 5.6, math.radians(6.0), before_rad)
+def test_the_reference_tells_the_steps_within_the_time() -> None:
+    still, level_off = np.zeros((2, 3)), LevelOff(5.3, 5.6, math.radians(6.0))
     reference = Reference(5.0, "pad", 0.1, still, still, still, 0.0, level_off=level_off)
     target = make_target(reference, 5.0 + 0.1 * np.arange(11, dtype=np.float64), origin_at_rest(11))
     assert target.horizontal_bound_m_s2 is not None
-    expected = [GRAVITY_M_S2 * math.tan(before_rad)] * 3 + [LEVEL_M_S2] * 3 + [math.inf] * 4
+    expected = [math.inf] * 3 + [LEVEL_M_S2] * 3 + [math.inf] * 4
     assert target.horizontal_bound_m_s2.tolist() == pytest.approx(expected)
+    later = make_target(
+        replace(reference, level_off=LevelOff(6.5, 7.0, 0.1)),
+        5.0 + 0.1 * np.arange(11, dtype=np.float64),
+        origin_at_rest(11),
+    )
+    assert later.horizontal_bound_m_s2 is None
 
 
 def test_it_moves_against_the_drift_before_it_levels_off() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from companion.base.geometry import ZERO3
 from companion.base.messages import PadState
+from companion.base.motion import Motion
 from companion.config import PadFilterConfig, TouchdownConfig
 from companion.estimate.pad.tilt_filter import LEVEL, TiltState
 from companion.plan.landing.success import SuccessEstimate, tilt_in_rad
@@ -68,7 +69,16 @@ def test_tilt_is_predicted_through_a_quarter_of_the_swing(seconds: float) -> Non
 def pad_level(pad: PadState, ahead_s: float) -> float:
     """The probability that a contact so much later meets it level enough."""
     success = SuccessEstimate(TouchdownConfig())
-    return success.factors(pad, ahead_s, sink_m_s=0.2, drift=(0.0, 0.0), slack=1.0)["pad tilt"]
+    likely = success.factors(
+        pad,
+        pad.vehicle_from_pad,
+        ahead_s,
+        sink_m_s=0.2,
+        contact=Motion(ZERO3),
+        drift=(0.0, 0.0),
+        slack=1.0,
+    )
+    return likely["pad tilt"]
 
 
 def test_a_slope_that_does_not_swing_is_met_at_any_time() -> None:

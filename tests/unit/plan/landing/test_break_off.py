@@ -9,6 +9,8 @@ from companion.base.geometry import quat_from_euler
 from companion.base.messages import PadState
 from companion.base.motion import Motion
 from companion.plan.events import MissionEvent
+from companion.plan.trajectory.course import Course
+from companion.plan.trajectory.min_jerk import plan
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,
@@ -178,7 +180,7 @@ def test_a_gust_on_the_way_down_breaks_it_off() -> None:
     before = touchdown.committed
     waited(touchdown, 6.0, 0.5, 1.2)
     assert (before, touchdown.committed) == (True, False)
-    assert "lateral offset within its limit" in touchdown.broken_off_by
+    assert "lateral speed within its limit" in touchdown.broken_off_by
     assert touchdown.level_off() is None
 
 
@@ -204,3 +206,14 @@ def test_a_turning_pad_that_is_lost_right_after_the_commit_does_not_end_the_desc
     for k in range(3):
         assert touchdown.step(lost, 1.0 + k * CYCLE_S, imu_age_s=0.0) is None
     assert touchdown.committed
+
+
+@pytest.mark.parametrize(("north_m", "goes_on"), [(-0.25, True), (0.0, True), (0.25, False)])
+def test_far_aside_for_a_lead_it_does_not_miss_the_pad(north_m: float, goes_on: bool) -> None:
+    touchdown = sinking()
+    low = LEG_M + 0.06
+    lead = plan(Motion((-0.25, 0.0, 0.0)), Motion((-0.25, 0.0, 0.0)), touchdown.now_s, 1.0)
+    touchdown.reference.lead(Course((lead,)))
+    found = touchdown.cycles([sight(north_m, low, (0.0, 0.0, 0.19))] * 2)
+    assert (found == []) is goes_on
+    assert goes_on or found[0] is MissionEvent.MISALIGNED

@@ -1,20 +1,25 @@
 """When the vehicle goes level for the contact, for how long, and how firmly it then sets down."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
+from companion.base.messages import ACCELERATION_FILTER_S
+from companion.control.attitude import attitude_from_acceleration
 from companion.plan.events import MissionEvent
 from companion.plan.landing.contact import RESPONDS_S
-from companion.plan.landing.levelling import AFTER_S, CONTACT_STD_M, Levelling, TiltPrediction
+from companion.plan.landing.drift import AFTER_S
+from companion.plan.landing.levelling import CONTACT_STD_M, Levelling, TiltPrediction
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,
     Attempt,
     coming_down,
     fresh,
+    held_against_air,
     sight,
     sinking,
     tilting,
@@ -120,46 +125,94 @@ def test_what_a_level_vehicle_lacks_makes_it_drift_for_as_long_as_the_contact_is
     assert levelling_off.drift(LEVEL_M_S2, 0.0, sink_std_m_s, 2.0)[0] == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("excess_m_s2", [-1.0, 0.0, 0.6, 2.0])
-def test_gusts_that_a_level_vehicle_cannot_meet_make_it_drift(excess_m_s2: float) -> None:
-    """Against a normal distribution, drawn and cut off where the vehicle's level meets it."""
-    levelling_off, std_m_s2 = Levelling(CONFIG, VEHICLE, 0.0), 0.4
-    lacks = np.maximum(0.0, excess_m_s2 + std_m_s2 * np.random.default_rng(3).standard_normal(200_000))
-    levels_s = lead_after(max(0.0, excess_m_s2), CONTACT_STD_M)
-    sink_m_s = levelling_off.sink_m_s(LEVEL_M_S2 + excess_m_s2)
-    late_s = CONTACT_STD_M / sink_m_s
-    drifts_m_s = math.sqrt((lacks**2).mean() * late_s**2 + lacks.var() * levels_s**2)
-    for ahead_s, share in ((2.0, 1.0), (0.5 * levels_s, 0.5)):
-        drift = levelling_off.drift(LEVEL_M_S2 + excess_m_s2, std_m_s2**2, 0.0, ahead_s)
-        assert drift[1] == pytest.approx(0.5 * share * levels_s * drift[0])
-        assert (drift[0] == pytest.approx(drifts_m_s, rel=0.02, abs=5e-4)) is (share == 1.0)
-
-
-@pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
-def test_shortly_before_it_levels_off_it_says_so_and_a_gust_is_met_by_a_little_more_tilt_at_most(
-    needed_m_s2: float,
+@pytest.mark.parametrize(
+    ("excess_m_s2", "rel", "abs_m_s"),
+    [(-1.0, 0.0, 1e-3), (0.0, 0.2, 0.0), (0.6, 0.03, 0.0), (2.0, 0.03, 0.0)],
+)
+def test_a_level_vehicle_drifts_by_what_the_air_asks_for_beyond_the_expected(
+    excess_m_s2: float, rel: float, abs_m_s: float
 ) -> None:
-    for over_m, near in ((0.25, False), (0.14, True)):
-        touchdown = levelling(needed_m_s2)
-        touchdown.step(sight(height=LEG_M + over_m, velocity=SINKS), 1.0)
-        assert not touchdown.levels_off
-        bound = touchdown.level_off()
-        assert (bound is not None) == near
-    assert bound is not None
-    assert GRAVITY_M_S2 * math.tan(bound.before_rad) == pytest.approx(max(LEVEL_M_S2, needed_m_s2 + 0.6))
-    assert bound.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
-    assert 1.0 < bound.from_s < bound.until_s  # and the controller knows when it will
+    """A random walk, from the force that the reference comes against to a contact that is early or late."""
+    levelling_off, scatter_m2_s4, flights, steps = Levelling(CONFIG, VEHICLE, 0.0), 0.04, 20_000, 100
+    levels_s = lead_after(max(0.0, excess_m_s2), CONTACT_STD_M)
+    late_s = CONTACT_STD_M / levelling_off.sink_m_s(LEVEL_M_S2 + excess_m_s2)
+    step_s = (levels_s + late_s) / steps
+    rng, rate = np.random.default_rng(3), 2.0 * scatter_m2_s4 / TiltPrediction.SMOOTHING_S
+    walks = np.cumsum(math.sqrt(rate * step_s) * rng.standard_normal((flights, steps)), axis=1)
+    lacks = np.maximum(0.0, excess_m_s2 + walks)
+    speeds = step_s * (lacks - max(0.0, excess_m_s2)).sum(axis=1)
+    speeds += late_s * rng.standard_normal(flights) * lacks[:, -1]
+    drift_m_s, drift_m = levelling_off.drift(LEVEL_M_S2 + excess_m_s2, scatter_m2_s4, 0.0, 2.0)
+    assert drift_m_s == pytest.approx(math.sqrt((speeds**2).mean()), rel=rel, abs=abs_m_s)
+    assert drift_m == pytest.approx(0.5 * levels_s * drift_m_s)
+    assert levelling_off.drift(LEVEL_M_S2 + excess_m_s2, scatter_m2_s4, 0.0, 0.1)[0] < drift_m_s
 
 
-def test_it_is_not_told_of_a_contact_that_a_vehicle_held_up_will_not_make() -> None:
+@pytest.mark.parametrize(("noise_m2_s3", "rel"), [(0.0, 0.2), (0.005, 0.35)])
+def test_of_a_force_that_wanders_the_scatter_tells_how_fast_whatever_the_sensors_noise(
+    noise_m2_s3: float, rel: float
+) -> None:
+    """The noise: 1 m/s2 (rms) of what is sampled at 200 Hz; taken for a walk it would be 1.0 m2/s5."""
+    tilt, rng, rate, imu_s, found = TiltPrediction(), np.random.default_rng(2), 0.3, 0.005, list[float]()
+    force, felt = np.zeros(2), np.zeros(2)
+    share = -math.expm1(-imu_s / ACCELERATION_FILTER_S)
+    for k in range(60_000):
+        force += math.sqrt(rate * imu_s) * rng.standard_normal(2)
+        felt += share * (force + math.sqrt(noise_m2_s3 / imu_s) * rng.standard_normal(2) - felt)
+        if k % 7 == 0:
+            level = replace(
+                held_against_air(tilting(0.0)),
+                side_force_ned_m_s2=(felt[0], felt[1], 0.0),
+                acceleration_density_m2_s3=noise_m2_s3,
+            )
+            tilt.note(level, None, k * imu_s)
+            found.append(tilt.scatter_m2_s4)
+    assert 2.0 * float(np.mean(found)) / TiltPrediction.SMOOTHING_S == pytest.approx(rate, rel=rel)
+
+
+def descent(needed_m_s2: complex) -> Attempt:
+    """A vehicle that follows its reference down, in such air."""
+    touchdown = fresh()
+    attitude = attitude_from_acceleration((needed_m_s2.real, needed_m_s2.imag, 0.0), 1.0)
+    while not touchdown.levels_off and touchdown.now_s < 10.0:
+        now_s = touchdown.now_s + CYCLE_S
+        touchdown.note_tilt(attitude, now_s)
+        there = touchdown.reference.at(now_s)
+        x, y, z = there.position_m
+        touchdown.cycles([sight(x, -z, east=y, velocity=there.velocity_m_s)])
+    return touchdown
+
+
+@pytest.mark.parametrize("needed_m_s2", [0j, 1.0 + 0j, -2.0 + 1.5j])
+def test_what_it_will_lack_while_it_is_level_it_comes_against(needed_m_s2: complex) -> None:
+    touchdown = descent(needed_m_s2)
+    assert touchdown.levels_off
+    level = touchdown.level_off()
+    assert level is not None
+    due_s = level.until_s - AFTER_S
+    lacks = needed_m_s2 * max(0.0, 1.0 - LEVEL_M_S2 / max(abs(needed_m_s2), LEVEL_M_S2))
+    for before_s in (0.0, 0.05):
+        there = touchdown.reference.at(due_s - before_s)
+        assert complex(*there.position_m[:2]) == pytest.approx(-0.5 * lacks * before_s**2, abs=4e-3)
+        assert complex(*there.velocity_m_s[:2]) == pytest.approx(lacks * before_s, abs=0.05)
+        assert complex(*there.acceleration_m_s2[:2]) == pytest.approx(-lacks, abs=0.02)
+
+
+def test_the_controller_knows_how_long_before_the_contact_it_levels_off() -> None:
     touchdown = levelling(2.0)
-    held_up = sight(height=LEG_M + 0.14, velocity=(0.0, 0.0, 0.0))
-    touchdown.step(held_up, 1.0)
     bound = touchdown.level_off()
     assert not touchdown.levels_off
     assert bound is not None
-    assert bound.from_s == bound.until_s
-    assert GRAVITY_M_S2 * math.tan(bound.before_rad) == pytest.approx(2.6)
+    assert 1.0 < bound.from_s < bound.until_s
+    assert bound.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
+
+
+def test_a_tilt_that_makes_up_for_an_error_is_not_one_that_the_air_asks_for() -> None:
+    tilt = TiltPrediction()
+    for k in range(60):
+        tilt.note(replace(held_against_air(tilting(0.0)), attitude=tilting(3.0)), None, k * CYCLE_S)
+    assert abs(tilt.predicted_m_s2(0.0)) == pytest.approx(0.0)
+    assert tilt.tilt_rad == pytest.approx(math.atan(3.0 / GRAVITY_M_S2))
 
 
 @pytest.mark.parametrize(
@@ -212,12 +265,13 @@ def test_while_contact_is_made_sure_of_it_stays_level() -> None:
 
 
 def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
-    levelling_off, tilt = Levelling(CONFIG, VEHICLE, 0.03), TiltPrediction()
-    tilted = tilting(GRAVITY_M_S2 * math.tan(math.radians(15.0)))
+    levelling_off, tilt, reference = Levelling(CONFIG, VEHICLE, 0.03), TiltPrediction(), fresh().reference
+    tilted = held_against_air(tilting(GRAVITY_M_S2 * math.tan(math.radians(15.0))))
     for k in range(40):
         now_s = 1.0 + k * CYCLE_S
         tilt.note(tilted, None, now_s)
-        levelling_off.expect(sight(height=LEG_M + 0.05, velocity=(0.3, 0.0, 0.1)), tilt, now_s)
+        drifting = sight(height=LEG_M + 0.05, velocity=(0.3, 0.0, 0.1))
+        levelling_off.expect(drifting, tilt, reference, now_s)
     level = levelling_off.window()
     assert level is not None
     assert level.until_s < now_s  # what it could not follow has become too much speed

@@ -8,17 +8,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from companion.base.geometry import ZERO3
 from companion.base.messages import PadState
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
 from companion.plan.landing.contact import RESPONDS_S
 from companion.plan.landing.contact_filter import SINK_TAU_S
+from companion.plan.landing.levelling import FASTEST_DRIFT
 from companion.plan.landing.success import SuccessEstimate
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.landing.touchdown_attempt import CONFIG, CYCLE_S, WAIT_M, sight
 
 Array = npt.NDArray[np.float64]
 SINK_M_S = CONFIG.contact_speed_m_s
+HOVERS = Motion((0.0, 0.0, -WAIT_M))
 
 
 def over_pad() -> ReferenceGenerator:
@@ -43,9 +46,10 @@ def factors(
     sink_m_s: float = SINK_M_S,
     drift: tuple[float, float] = (0.0, 0.0),
     slack: float = 1.0,
+    contact: Motion = HOVERS,
 ) -> dict[str, float]:
     return success.factors(
-        seen, ahead_s, sink_m_s=sink_m_s, drift=drift, slack=slack
+        seen, HOVERS, ahead_s, sink_m_s=sink_m_s, contact=contact, drift=drift, slack=slack
     )  # fmt: skip
 
 
@@ -161,6 +165,18 @@ def test_what_a_level_vehicle_drifts_by_makes_its_speed_and_offset_unsure_and_no
     assert wind.pop("lateral offset") == pytest.approx(0.954, abs=0.01)  # two
     assert min(calm.pop("lateral speed"), calm.pop("lateral offset")) > 0.99
     assert wind == calm
+
+
+@pytest.mark.parametrize("limit", ["lateral offset", "lateral speed"])
+def test_a_reference_that_will_touch_aside_or_too_fast_is_no_success(limit: str) -> None:
+    """However well the vehicle follows it, at a limit it is a coin's toss."""
+    aside = {
+        "lateral offset": Motion((CONFIG.break_off_lateral_m, 0.0, 0.0)),
+        "lateral speed": Motion(ZERO3, (0.0, FASTEST_DRIFT * CONFIG.lateral_speed_m_s, 0.0)),
+    }[limit]
+    likely = factors(watched(), sight(), 2.0, contact=aside)
+    assert likely.pop(limit) == pytest.approx(0.5, abs=0.05)
+    assert min(likely.values()) > 0.99
 
 
 def test_slack_widens_the_limit_aside_alone() -> None:

@@ -5,8 +5,22 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
-from companion.base.messages import AutopilotState, LandedState, LinkHealth, PadState, RangeSample
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    Quaternion,
+    Vector3,
+    quat_from_euler,
+    scale,
+)
+from companion.base.messages import (
+    AutopilotState,
+    LandedState,
+    LinkHealth,
+    PadState,
+    RangeSample,
+    VehicleState,
+)
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, LandingConfig, TouchdownConfig
 from companion.plan.events import DetectedEvent, MissionEvent
@@ -34,9 +48,11 @@ def sight(
     velocity: Vector3 = ZERO3,
     pad_acceleration: Vector3 = ZERO3,
     age: float = 0.0,
+    *,
+    east: float = 0.0,
 ) -> PadState:
-    """The pad under a vehicle that is so far aside and high, and moves over it at `velocity`."""
-    relative = ((-aside, 0.0, height), scale(velocity, -1.0))
+    """The pad under a vehicle that is so far aside (north) and high, and moves over it at `velocity`."""
+    relative = ((-aside, -east, height), scale(velocity, -1.0))
     return PadState(
         0.0, *relative, ZERO3, pad_acceleration, 0.0, 0.0, 0.0, 0.0,
         seen_time_s=-age, seen_velocity_ned_m_s=relative[1], covariance=SEEN_CLEARLY,
@@ -86,7 +102,7 @@ class Attempt:
         return self._sequence.short_echoes.standing(now_s)
 
     def note_tilt(self, attitude: Quaternion, now_s: float, seen: PadState | None = None) -> None:
-        self._success.tilt.note(attitude, seen, now_s)
+        self._success.tilt.note(held_against_air(attitude, seen), seen, now_s)
 
     def step(
         self,
@@ -186,6 +202,12 @@ def standing() -> Attempt:
             touchdown.cycles([seen], echo_m=0.1)
     assert touchdown.on_pad
     return touchdown
+
+
+def held_against_air(attitude: Quaternion, seen: PadState | None = None) -> VehicleState:
+    """It tilts so to go with the pad, or to stay where it is, against what the air does to it."""
+    with_pad_m_s2 = ZERO3 if seen is None else seen.acceleration_ned_m_s2
+    return vehicle_state(0.0, attitude=attitude, acceleration_ned_m_s2=with_pad_m_s2)
 
 
 def tilting(acceleration_m_s2: float) -> Quaternion:
