@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 
-from companion.base.geometry import subtract
+from companion.base.geometry import GRAVITY_M_S2, subtract
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.base.second_sources import SIGMA_THRESHOLD
@@ -344,8 +344,13 @@ class TouchdownSequence:
         return None
 
     def _sink_firmer(self, now_s: float) -> None:
-        """Before it comes against the drift: by what is needed now, which a gust may have changed."""
-        firm_m_s = self.levelling.sink_m_s(abs(self._success.tilt.predicted_m_s2(0.0)))
+        """By what is needed now, which a gust may have changed, and by the tilt that is to be levelled off.
+
+        Levelling off gains lift, which makes the contact late.
+        """
+        tilt = self._success.tilt
+        tilt_m_s2 = GRAVITY_M_S2 * math.tan(tilt.tilt_rad)
+        firm_m_s = self.levelling.sink_m_s(max(tilt_m_s2, abs(tilt.predicted_m_s2(0.0))))
         if firm_m_s > self.levelling.planned_m_s:
             self.levelling.planned_m_s = firm_m_s
             blend_s = max(SINK_TAU_S, self._generator.end_s - now_s)

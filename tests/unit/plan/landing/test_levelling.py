@@ -114,6 +114,17 @@ def test_the_more_tilt_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float,
     assert speed_m_s == pytest.approx(sink_m_s, abs=1e-3)
 
 
+def test_a_tilt_that_the_air_does_not_ask_for_is_levelled_off_as_firmly() -> None:
+    """It gains the same lift, which would make the contact late."""
+    touchdown = levelling(0.0)
+    for k in range(12):
+        leaning = replace(held_against_air(tilting(0.0)), attitude=tilting(LEVEL_M_S2 + 0.85))
+        touchdown._success.tilt.note(leaning, None, 1.0 + k * CYCLE_S)
+        touchdown.cycles([sight(height=LEG_M + 0.06, velocity=SINKS)])
+    assert touchdown.levels_off
+    assert touchdown.reference.at(touchdown.now_s).velocity_m_s[2] == pytest.approx(0.32, abs=1e-3)
+
+
 @pytest.mark.parametrize("sink_std_m_s", [0.0, 0.1])
 def test_what_a_level_vehicle_lacks_makes_it_drift_for_as_long_as_the_contact_is_late(
     sink_std_m_s: float,
